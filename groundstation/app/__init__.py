@@ -1,0 +1,1 @@
+"""The command line, the loops that wait, reports: the thin edge around everything else."""

@@ -1,0 +1,1 @@
+"""One module per command of ``gs``; ``groundstation.app.cli`` puts them together."""

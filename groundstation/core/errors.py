@@ -1,0 +1,27 @@
+"""The one exception that a user is meant to read.
+
+Everything else that is raised is a programming error and may show a traceback.
+"""
+
+from __future__ import annotations
+
+
+class UserError(Exception):
+    """A wrong file, value or request, told in one sentence: subject, value, limit and remedy.
+
+    The command line prints the message alone and exits with ``exit_code``.
+    """
+
+    exit_code = 2
+
+
+class MissionFailed(UserError):  # noqa: N818 - an outcome that is reported, not an error in the program
+    """The mission or the check failed; vehicles were left safe."""
+
+    exit_code = 1
+
+
+class PreflightRefused(UserError):  # noqa: N818 - an outcome that is reported, not an error in the program
+    """Preflight refused; nothing was armed."""
+
+    exit_code = 3
