@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: install fly test lint types contracts clean
+.PHONY: install fly test clean
 
 install: $(STAMP)
 
@@ -16,6 +16,19 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(STAMP)
+
+# Flies eight vehicles into a cube and back in the emulator; says where the log and the pictures are.
+fly: $(STAMP)
+	$(BIN)/gs fly --mission cube8.yaml --dry-run --seed 1 --log flights/cube8.tlog
+	$(BIN)/gs report flights/cube8.tlog -o flights/cube8-report
+
+# Everything that has to hold before a commit.
+test: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build dist

@@ -1,0 +1,66 @@
+"""The command line: one typer application, one place where errors end.
+
+A ``UserError`` is printed as its message and ends with its exit code; wrong usage ends with 2.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from groundstation.core.errors import UserError
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
+    "check": ("fly", "Check a mission and its vehicles on their pads; arm nothing."),
+    "design": ("design", "Design the gains of a formation."),
+    "sitl": ("sitl", "Run emulated vehicles for any ground station."),
+    "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),
+    "report": ("report", "Draw the pictures of a log."),
+    "import": ("import_", "Turn another program's recorded flight into a log."),
+}
+"""Command name: module in ``groundstation.app.commands``, help for the overview."""
+
+
+def _nothing() -> None:
+    """Stands for a command that was not called, in the overview."""
+
+
+def build(called: str | None) -> typer.Typer:
+    """Builds the application.
+
+    Only the module of the command that is called is loaded, so that ``gs fly`` does not wait for matplotlib.
+
+    Args:
+        called: name of the command on the command line, None for the overview.
+    """
+    application = typer.Typer(
+        name="gs",
+        help="Ground station that flies teams of multirotors into 3D formations.",
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    for name, (module_name, overview) in COMMANDS.items():
+        function = _nothing
+        if name == called:
+            module = import_module(f"groundstation.app.commands.{module_name}")
+            function = getattr(module, "import_" if name == "import" else name)
+        application.command(name=name, help=None if name == called else overview)(function)
+    return application
+
+
+def main() -> None:
+    """Entry point of ``gs``."""
+    arguments = sys.argv[1:]
+    called = next((argument for argument in arguments if not argument.startswith("-")), None)
+    try:
+        build(called)(args=arguments, prog_name="gs")
+    except UserError as error:
+        Console(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))
+        sys.exit(error.exit_code)

@@ -1,0 +1,239 @@
+"""``gs fly`` and ``gs check``: missions on vehicles, or as a dry run against the emulator."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from groundstation.app.emulator import TruthMeter, served_world, world_config
+from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.output import Output
+from groundstation.app.progress import FlightDisplay
+from groundstation.app.resources import find_config
+from groundstation.app.session import Session
+from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
+from groundstation.links.udp import open_udp
+from groundstation.mission.plan import MissionPlan, load_mission
+from groundstation.mission.runner import Runner
+from groundstation.records.manifest import (
+    DRY_RUN_EPOCH_UNIX_US,
+    Manifest,
+    manifest_beside,
+    manifest_path,
+    versions,
+    write_manifest,
+)
+from groundstation.records.tlog import TlogWriter
+from sitl.world import World
+
+_FLIGHTS = Path("flights")
+
+MissionOption = Annotated[
+    Path, typer.Option("--mission", help="Mission file, as given or among those that come along.")
+]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
+
+
+def fly(
+    mission: MissionOption,
+    *,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Fly the emulator, in virtual time.")] = False,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Hold a dry run to the wall clock.")] = False,
+    udp: Annotated[bool, typer.Option("--udp", help="Dry run over UDP sockets, on the wall clock.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the emulator's noise.", min=0)] = 0,
+    log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
+    changes: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Flies a mission: take off, form, hold, return to the pads, land.
+
+    Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
+    """
+    out = Output(as_json=as_json)
+    if (realtime or udp) and not dry_run:
+        raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
+    plan = load_mission(find_config(mission, "missions"), changes or ())
+    log_path = _log_path(plan, log, dry_run=dry_run, seed=seed)
+    started = time.monotonic()
+    if dry_run and not udp:
+        values = _dry_run(out, plan, log_path, seed=seed, realtime=realtime)
+    else:
+        values = _real_flight(out, plan, log_path, emulated_seed=seed if dry_run else None)
+    refused = values.pop("refused")
+    values["wall_s"] = round(time.monotonic() - started, 3)
+    _tell(out, values)
+    out.result(values)
+    if refused:
+        raise PreflightRefused(_refusal(str(values["reason"])))
+    if values["outcome"] != "completed":
+        raise MissionFailed(f"mission {plan.spec.name} aborted: {values['reason']}")
+
+
+def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOption = False) -> None:
+    """Checks a mission and its vehicles on their pads; arms nothing."""
+    out = Output(as_json=as_json)
+    plan = load_mission(find_config(mission, "missions"), changes or ())
+    clock = FlightClock()
+    session = Session(Runner(plan, 0, check_only=True), None)
+    interrupts = Interrupts()
+    with ExitStack() as stack:
+        links = [stack.enter_context(open_udp(url)) for url in plan.links]
+        display = stack.enter_context(FlightDisplay(out.console, plan))
+        stack.enter_context(interrupts.listening())
+        fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=(display,), interrupts=interrupts)
+    runner = session.runner
+    table = Table("vehicle", "state")
+    problems = {text.partition(":")[0]: text.partition(": ")[2] for text in runner.problems}
+    for vehicle in plan.spec.vehicles:
+        table.add_row(str(vehicle.id), problems.get(f"vehicle {vehicle.id}", "ready"))
+    out.console.print(table)
+    out.result({"mission": plan.spec.name, "ready": runner.outcome == "completed", "problems": runner.problems})
+    if runner.outcome != "completed":
+        raise PreflightRefused(_refusal(runner.reason or "interrupted"))
+
+
+def _refusal(reason: str) -> str:
+    return "preflight refused, nothing was armed:\n  " + reason.replace("; vehicle", "\n  vehicle")
+
+
+def _period_ns(plan: MissionPlan) -> int:
+    return round(1_000_000_000 / plan.spec.rate_hz)
+
+
+def _log_path(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: int) -> Path:
+    """Where to record; a log of a real flight is never written over.
+
+    Raises:
+        UserError: the file exists and must be kept, or its folder cannot be made.
+    """
+    name = f"{plan.spec.name}-seed{seed}" if dry_run else f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    path = wanted or _FLIGHTS / f"{name}.tlog"
+    if path.suffix != ".tlog":
+        raise UserError(f"--log {path}: logs end in .tlog; call it {path.with_suffix('.tlog')}")
+    if path.exists():
+        there = manifest_beside(path)
+        if not dry_run or there is None or not there.dry_run:
+            raise UserError(f"--log {path}: exists and is not written over; name another file or move it away")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--log {path}: cannot make its folder: {error.strerror or error}") from None
+    return path
+
+
+def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realtime: bool) -> dict[str, Any]:
+    """Flies the emulator in virtual time."""
+    world = World(world_config(plan), seed)
+    meter = TruthMeter(world)
+    manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
+    with _recording(log_path, manifest) as log:
+        session = Session(Runner(plan, 0), log)
+        interrupts = Interrupts()
+        with FlightDisplay(out.console, plan) as display, interrupts.listening():
+            fly_virtual(
+                session,
+                world,
+                period_ns=_period_ns(plan),
+                watchers=(display, meter),
+                interrupts=interrupts,
+                pace=wall_clock_pace() if realtime else None,
+            )
+    values = _values(session.runner, log_path, seed) | meter.figures()
+    write_manifest(manifest_path(log_path), manifest.finished(values))
+    return values
+
+
+def _real_flight(out: Output, plan: MissionPlan, log_path: Path, *, emulated_seed: int | None) -> dict[str, Any]:
+    """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
+    with ExitStack() as stack:
+        links = [stack.enter_context(open_udp(url)) for url in plan.links]
+        meter = None
+        if emulated_seed is not None:
+            meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed)))
+        clock = FlightClock()
+        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
+        log = stack.enter_context(_recording(log_path, manifest))
+        session = Session(Runner(plan, 0), log)
+        interrupts = Interrupts()
+        with FlightDisplay(out.console, plan) as display, interrupts.listening():
+            watchers = (display,) if meter is None else (display, meter)
+            fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
+        values = _values(session.runner, log_path, emulated_seed)
+        if meter is not None:
+            values |= meter.figures()
+    write_manifest(manifest_path(log_path), manifest.finished(values))
+    return values
+
+
+def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool) -> Manifest:
+    return Manifest(
+        mission=plan.record(),
+        epoch_unix_us=epoch_unix_us,
+        versions=versions(),
+        seed=seed,
+        dry_run=dry_run,
+        gains_npz=plan.gains_npz,
+    )
+
+
+@contextmanager
+def _recording(log_path: Path, manifest: Manifest) -> Iterator[TlogWriter]:
+    """Opens the log with its manifest, so that a flight that ends badly leaves both."""
+    write_manifest(manifest_path(log_path), manifest)
+    with TlogWriter(log_path, manifest.epoch_unix_us) as log:
+        yield log
+
+
+def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
+    """The figures of a flight, as the command line promises them; distances as the vehicles reported them."""
+    figures, spec = runner.figures, runner.plan.spec
+    return {
+        "mission": spec.name,
+        "outcome": "completed" if runner.outcome == "completed" else "aborted",
+        "reason": runner.reason or ("" if runner.outcome else "interrupted by the operator"),
+        "refused": runner.outcome == "refused",
+        "vehicles": runner.plan.size,
+        "converged": figures.converged,
+        "time_to_form_s": figures.time_to_form_s,
+        "formation_error_m": figures.formation_error_m,
+        "min_distance_m": figures.min_distance_m,
+        "safety_radius_m": spec.avoidance.radius_m,
+        "gridlocks": figures.gridlocks,
+        "role_swaps": figures.role_swaps,
+        "setpoints": runner.setpoints_sent,
+        "ticks": figures.ticks,
+        "deadline_misses": figures.deadline_misses,
+        "duration_s": figures.flight_time_s,
+        "wall_s": None,
+        "log": str(log_path),
+        "seed": seed,
+    }
+
+
+def _tell(out: Output, values: Mapping[str, Any]) -> None:
+    table = Table(show_header=False, title=f"mission {values['mission']}: {values['outcome']}")
+    for label, value in (
+        ("formed after", _figure(values["time_to_form_s"], "s")),
+        ("largest distance error while holding", _figure(values["formation_error_m"], "m")),
+        ("smallest distance in the air", _figure(values["min_distance_m"], "m")),
+        ("safety radius r", _figure(values["safety_radius_m"], "m")),
+        ("flight time", _figure(values["duration_s"], "s")),
+        ("setpoints sent", str(values["setpoints"])),
+        ("log", values["log"]),
+    ):
+        table.add_row(label, value)
+    out.console.print(table)
+
+
+def _figure(value: float, unit: str) -> str:
+    return f"{value:.3f} {unit}" if math.isfinite(value) else "-"

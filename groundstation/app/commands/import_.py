@@ -1,0 +1,65 @@
+"""``gs import``: flights that other programs recorded become logs of this one."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from groundstation.app.output import Output
+from groundstation.app.resources import find_config
+from groundstation.design.store import load_formation
+from groundstation.records.imports import import_crazyswarm
+from groundstation.records.manifest import manifest_path, versions
+from groundstation.records.replay import load_flight
+
+
+class Source(StrEnum):
+    """Programs whose records can be read."""
+
+    CRAZYSWARM = "crazyswarm"
+
+
+def import_(
+    source: Annotated[Source, typer.Argument(help="Program that recorded the flight.")],
+    folder: Annotated[Path, typer.Argument(help="Folder with its files.")],
+    *,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Log to write (.tlog).")],
+    formation: Annotated[
+        Path | None, typer.Option(help="Formation that was flown, where its files do not say; for the report.")
+    ] = None,
+    radius_m: Annotated[
+        float | None, typer.Option(help="Safety radius r in metres, where its files do not say; for the report.", min=0)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+) -> None:
+    """Turns the recorded flight of another program into a log."""
+    out = Output(as_json=as_json)
+    wanted = None
+    if formation is not None:
+        shape = load_formation(find_config(formation, "formations"))
+        wanted = {
+            "name": shape.name,
+            "points": shape.points_enu_m.tolist(),
+            "edges": [[i + 1, j + 1] for i, j in shape.edges],
+        }
+    import_crazyswarm(folder, output, versions(), wanted, radius_m)
+    flight = load_flight(output)
+    values = {
+        "log": str(output),
+        "manifest": str(manifest_path(output)),
+        "source": source.value,
+        "vehicles": len(flight.vehicles),
+        "samples": flight.samples,
+        "duration_s": flight.duration_s,
+        "min_distance_m": flight.min_distance_m(),
+        "role_changes": flight.role_changes,
+    }
+    table = Table(show_header=False, box=None)
+    for name, value in values.items():
+        table.add_row(name, f"{value:.4f}" if isinstance(value, float) else str(value))
+    out.console.print(table)
+    out.result(values)

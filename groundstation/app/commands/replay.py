@@ -1,0 +1,135 @@
+"""``gs replay``: what a log says, the same flight made again, or its frames sent to another program."""
+
+from __future__ import annotations
+
+import math
+import socket
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+import typer
+from rich.table import Table
+
+from groundstation.app.loop import wall_clock_pace
+from groundstation.app.output import Output
+from groundstation.app.verify import verify_log
+from groundstation.core.errors import MissionFailed, UserError
+from groundstation.records.manifest import manifest_beside
+from groundstation.records.notes import Received, Record
+from groundstation.records.replay import load_flight
+from groundstation.records.tlog import read_tlog
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).")],
+    *,
+    verify: Annotated[bool, typer.Option("--verify", help="Fly it again from its bytes, compare every bit.")] = False,
+    to: Annotated[
+        str | None, typer.Option("--to", help="Send the received frames to another program: udpout://HOST:PORT.")
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Pace of --to against the recorded one.")] = 1.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+) -> None:
+    """Reads a log back."""
+    out = Output(as_json=as_json)
+    target = None if to is None else parse_target(to)
+    if not (math.isfinite(speed) and speed > 0):
+        raise UserError(f"--speed {speed:g}: expected a number above 0, for example 2 for twice as fast")
+    flight = load_flight(log)
+    values: dict[str, Any] = {
+        "vehicles": len(flight.vehicles),
+        "samples": flight.samples,
+        "duration_s": flight.duration_s,
+        "min_distance_m": flight.min_distance_m(),
+    }
+    mismatches = 0
+    if verify:
+        result = verify_log(log)
+        mismatches = result.mismatches
+        values |= {
+            "ticks": result.ticks,
+            "setpoints": result.setpoints,
+            "mismatches": mismatches,
+            "max_error_m_s": result.max_error_m_s,
+        }
+    if flight.message is not None:
+        out.console.print(flight.message)
+    out.console.print(_table(values))
+    if target is not None:
+        values["frames"] = _send(log, target, speed, out)
+    out.result(values)
+    if mismatches:
+        raise MissionFailed(
+            f"{log}: {mismatches} of {values['setpoints']} setpoints differ from the recorded ones, by up to "
+            f"{values['max_error_m_s']:.3g} m/s; was it flown with another version? (versions in the manifest)"
+        )
+
+
+def parse_target(url: str) -> tuple[str, int]:
+    """Reads ``udpout://HOST:PORT``.
+
+    Raises:
+        UserError: another kind of link, or no host or port.
+    """
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        parts, host, port = urlsplit(""), None, None
+    if parts.scheme != "udpout" or not host or not port:
+        raise UserError(f"--to {url}: expected udpout://HOST:PORT, for example udpout://127.0.0.1:14550")
+    return host, port
+
+
+def stream(
+    records: Iterable[Record], send: Callable[[bytes], None], pace: Callable[[int], None], speed: float = 1.0
+) -> int:
+    """Sends the received frames of a log in their order.
+
+    Args:
+        records: of the log.
+        send: takes one frame.
+        pace: waits until that many ns have passed since the first frame.
+        speed: pace against the recorded one, > 0.
+
+    Returns:
+        Number of frames sent.
+    """
+    frames = 0
+    first_ns = None
+    for record in records:
+        if isinstance(record, Received):
+            first_ns = record.t_ns if first_ns is None else first_ns
+            pace(int((record.t_ns - first_ns) / speed))
+            send(record.frame.raw)
+            frames += 1
+    return frames
+
+
+def _send(log: Path, target: tuple[str, int], speed: float, out: Output) -> int:
+    host, port = target
+    manifest = manifest_beside(log)
+    reader = read_tlog(log, None if manifest is None else manifest.epoch_unix_us)
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        with socket.socket(family, kind, protocol) as peer, out.console.status(f"sending to {host}:{port}"):
+
+            def send(frame: bytes) -> None:
+                # Not connected: a program that is not listening yet must not end the replay.
+                peer.sendto(frame, address)
+
+            return stream(reader, send, wall_clock_pace(), speed)
+    except OSError as error:
+        raise UserError(f"--to {host}:{port}: {error.strerror or error}; name a host that can be reached") from error
+
+
+def _table(values: dict[str, Any]) -> Table:
+    table = Table(show_header=False, box=None)
+    units = {"duration_s": "s", "min_distance_m": "m", "max_error_m_s": "m/s"}
+    for name, value in values.items():
+        words = name.removesuffix("_m_s").removesuffix("_s").removesuffix("_m").replace("_", " ")
+        text = f"{value:.4g}" if isinstance(value, float) else "unknown" if value is None else str(value)
+        table.add_row(words, f"{text} {units.get(name, '') if value is not None else ''}".strip())
+    return table

@@ -1,0 +1,29 @@
+"""``gs report``: pictures and a page out of a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from groundstation.app.output import Output
+from groundstation.app.report import write_report
+from groundstation.records.replay import load_flight
+
+
+def report(
+    log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures and the page.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+) -> None:
+    """Draws trajectories, distances, formation error and setpoints of a flight."""
+    out = Output(as_json=as_json)
+    flight = load_flight(log)
+    if flight.message is not None:
+        out.console.print(flight.message)
+    with out.console.status("drawing"):
+        files = write_report(flight, output)
+    for file in files:
+        out.console.print(f"written: {file}")
+    out.result({"log": str(log), "vehicles": len(flight.vehicles), "files": [str(file) for file in files]})

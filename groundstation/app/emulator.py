@@ -1,0 +1,95 @@
+"""Puts an emulator together for a mission, and measures the truth that only the emulator knows.
+
+The truth is measured for the report alone; nothing of it reaches the runner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from groundstation.app.session import Session
+from groundstation.core.errors import UserError
+from groundstation.core.metrics import formation_error_m
+from groundstation.mission.plan import MissionPlan
+from groundstation.mission.runner import Phase
+from sitl.server import Server
+from sitl.world import VehicleConfig, World, WorldConfig
+
+
+def world_config(plan: MissionPlan) -> WorldConfig:
+    """The mission's vehicles on the mission's pads.
+
+    Raises:
+        UserError: the mission asks for what the emulator does not do.
+    """
+    for number, vehicle in enumerate(plan.spec.vehicles):
+        if vehicle.origin != "pad":
+            raise UserError(
+                f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: emulated vehicles start their local frame"
+                f" where they stand; for a dry run add --set vehicles.{number}.origin=pad"
+            )
+    return WorldConfig(
+        vehicles=tuple(
+            VehicleConfig(
+                sysid=vehicle.id, autopilot=vehicle.autopilot, profile=vehicle.profile, pad_enu_m=vehicle.pad_m
+            )
+            for vehicle in plan.spec.vehicles
+        )
+    )
+
+
+@contextmanager
+def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
+    """Runs an emulator behind UDP sockets that send to the mission's links, in a thread, for ``--udp``.
+
+    Raises:
+        UserError: the links are neither one port for all nor consecutive ports in the order of the vehicles.
+    """
+    ports = [urlsplit(vehicle.link).port or 0 for vehicle in plan.spec.vehicles]
+    shared = len(set(ports)) == 1
+    if not shared and ports != list(range(ports[0], ports[0] + len(ports))):
+        raise UserError(
+            f"{plan.source}: vehicles: ports {ports}: --udp emulates one port for all vehicles, or consecutive ports"
+        )
+    stop = Event()
+    with Server(world_config(plan), seed, port=ports[0], port_per_vehicle=not shared) as server:
+        thread = Thread(target=server.run, args=(stop,), name="emulator", daemon=True)
+        thread.start()
+        try:
+            yield server.world
+        finally:
+            stop.set()
+            thread.join()
+
+
+class TruthMeter:
+    """Measures the true formation error while the formation is held.
+
+    Attributes:
+        formation_error_m: largest true |d_ij - d*_ij| over all pairs and all ticks of all holds; NaN before.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.formation_error_m = float("nan")
+        self._world = world
+
+    def figures(self) -> dict[str, float]:
+        """The figures that replace what the vehicles reported."""
+        return {
+            "formation_error_m": self.formation_error_m,
+            "min_distance_m": self._world.min_distance_airborne_m,
+        }
+
+    def __call__(self, session: Session, _now_ns: int) -> None:
+        """Looks at the world after a tick."""
+        runner = session.runner
+        if runner.phase is Phase.HOLD:
+            error = formation_error_m(
+                self._world.truth.pos_enu_m, runner.plan.formation.distances_m, runner.role_of_agent
+            )
+            self.formation_error_m = float(np.fmax(self.formation_error_m, error))

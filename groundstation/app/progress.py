@@ -1,0 +1,72 @@
+"""What a flight shows while it lasts: one live line of state, and a line for each thing that happens."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from groundstation.app.session import Session
+from groundstation.mission.plan import MissionPlan
+from groundstation.mission.runner import Phase
+
+_REFRESH_NS = 200_000_000
+_STYLES = {"alarm": "bold red", "phase": "bold", "info": "dim", "roles": "dim"}
+
+
+class FlightDisplay:
+    """Shows a flight on a console; used as a watcher of the loop.
+
+    Args:
+        console: where to.
+        plan: the mission, for its name.
+    """
+
+    def __init__(self, console: Console, plan: MissionPlan) -> None:
+        self._console = console
+        self._plan = plan
+        self._live = Live(console=console, refresh_per_second=5, transient=True)
+        self._next_ns = 0
+        self._problems: list[str] = []
+
+    def __enter__(self) -> FlightDisplay:
+        """Begins to show."""
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Ends the live line."""
+        self._live.stop()
+
+    def __call__(self, session: Session, now_ns: int) -> None:
+        """Shows what has changed."""
+        for note in session.take_notes():
+            self._console.print(Text(f"{now_ns / 1e9:8.2f} s  {note.kind:5}  {note.text}", style=_STYLES[note.kind]))
+        if now_ns < self._next_ns:
+            return
+        self._next_ns = now_ns + _REFRESH_NS
+        runner = session.runner
+        if runner.phase is Phase.CONNECT and runner.problems and runner.problems != self._problems:
+            # While vehicles start up, people want to see what is waited for; once per change, not per tick.
+            self._problems = list(runner.problems)
+            if not self._console.is_terminal and now_ns > 0:
+                return
+        if self._console.is_terminal:
+            self._live.update(self._line(session, now_ns))
+
+    def _line(self, session: Session, now_ns: int) -> Text:
+        runner = session.runner
+        text = Text(f"{self._plan.spec.name}  {now_ns / 1e9:6.1f} s  {runner.phase.value}", style="bold cyan")
+        if runner.phase is Phase.CONNECT:
+            for problem in runner.problems:
+                text.append(f"\n  waiting: {problem}", style="yellow")
+        else:
+            airborne = int(runner.airborne.sum())
+            text.append(f"  in the air: {airborne} of {self._plan.size}", style="default")
+            text.append(f"  smallest distance {runner.figures.min_distance_m:.2f} m", style="default")
+        return text

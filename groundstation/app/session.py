@@ -1,0 +1,66 @@
+"""One flight with its record: every byte is written down before anyone parses it, then given to the runner.
+
+Loops call it with times; it reads no clock. Replay does the same calls from the log and must get the same setpoints.
+"""
+
+from __future__ import annotations
+
+from groundstation.mavlink.station import Outgoing
+from groundstation.mission.runner import Note, Runner
+from groundstation.records.tlog import TlogWriter
+
+
+class Session:
+    """A runner and its log.
+
+    Args:
+        runner: the mission.
+        log: where to record, None for nowhere.
+
+    Attributes:
+        notes: what happened since the loop last took it, for the screen.
+    """
+
+    def __init__(self, runner: Runner, log: TlogWriter | None) -> None:
+        self.runner = runner
+        self.notes: list[Note] = []
+        self._log = log
+        self._log_problem_told = False
+
+    def deliver(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
+        """Takes a datagram from a link."""
+        if self._log is not None:
+            self._log.received(link, peer, data, t_rx_ns)
+        self.runner.receive(link, peer, data, t_rx_ns)
+
+    def operator(self, command: str, now_ns: int) -> None:
+        """Takes a command of the operator."""
+        if self._log is not None:
+            self._log.operator(command, now_ns)
+        self.runner.operator(command)
+
+    def tick(self, now_ns: int) -> list[Outgoing]:
+        """Steps the runner and records what it sends and says."""
+        if self._log is not None:
+            self._log.tick(now_ns, self.runner.figures.ticks)
+        outgoing = self.runner.step(now_ns)
+        notes = self.runner.take_notes()
+        if self._log is not None:
+            for datagram in outgoing:
+                for frame in datagram.frames:
+                    self._log.sent(frame, now_ns)
+            for note in notes:
+                if note.kind == "roles":
+                    self._log.roles(note.roles, now_ns)
+                else:
+                    self._log.event(f"{note.kind}: {note.text}", now_ns)
+            if self._log.problem is not None and not self._log_problem_told:
+                self._log_problem_told = True
+                notes.append(Note("alarm", self._log.problem))
+        self.notes += notes
+        return outgoing
+
+    def take_notes(self) -> list[Note]:
+        """Hands out what happened since the last call."""
+        notes, self.notes = self.notes, []
+        return notes

@@ -1,0 +1,133 @@
+"""Who flies to which point: the best roles, heading and place of the formation for where the vehicles are.
+
+Minimises the sum of squared distances over permutation, rotation about z and translation together. For given roles
+the best rotation and translation are known in closed form, for a given rotation the best roles are an optimal
+assignment; the two are alternated from evenly spread headings until nothing changes, and the best end is kept. Each
+alternation ends in a local optimum; the spread of starts is what makes the answer good. Deterministic.
+
+Only at the start does anybody know all positions; in flight agents act on their views alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from groundstation.core.formation import Formation
+from groundstation.core.types import ComplexArray, FloatArray, IntArray
+
+_MAX_ROUNDS = 50
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Roles, and where the formation would stand for them.
+
+    Attributes:
+        role_of_agent: shape (n,), agent a takes role role_of_agent[a].
+        yaw_enu_rad: rotation of the formation about z, counterclockwise seen from above, in [-pi, pi].
+        translation_team_enu_m: added after the rotation, shape (3,).
+        cost_m2: sum of squared distances from the agents to their points.
+    """
+
+    role_of_agent: IntArray
+    yaw_enu_rad: float
+    translation_team_enu_m: FloatArray
+    cost_m2: float
+
+    def targets_team_enu_m(self, formation: Formation) -> FloatArray:
+        """The points that the agents were assigned to, shape (n, 3), by agent."""
+        return place(formation.points_enu_m[self.role_of_agent], self.yaw_enu_rad, self.translation_team_enu_m)
+
+
+def place(points_enu_m: FloatArray, yaw_enu_rad: float, translation_enu_m: FloatArray) -> FloatArray:
+    """Turns points about z and moves them, shape (n, 3)."""
+    cos, sin = np.cos(yaw_enu_rad), np.sin(yaw_enu_rad)
+    x, y, z = points_enu_m.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1) + translation_enu_m
+
+
+def assign_roles(pos_team_enu_m: FloatArray, formation: Formation, yaw_starts: int = 36) -> Assignment:
+    """Finds the best roles for interchangeable vehicles.
+
+    Args:
+        pos_team_enu_m: where the vehicles are, shape (n, 3), ENU (z up, as the formation's points).
+        formation: n points.
+        yaw_starts: headings tried, >= 1.
+
+    Returns:
+        The best assignment found; for equal costs the one found first.
+
+    Raises:
+        ValueError: another number of vehicles than roles, a non-finite position, or no start.
+    """
+    pos, points, pos_mean, points_mean = _centred(pos_team_enu_m, formation)
+    if yaw_starts < 1:
+        raise ValueError(f"assignment: {yaw_starts} headings to start from, must be at least 1")
+    pos_xy, points_xy = pos[:, 0] + 1j * pos[:, 1], points[:, 0] + 1j * points[:, 1]
+    gain_z = pos[:, 2:3] * points[:, 2]
+    best: tuple[float, IntArray, float] | None = None
+    seen: set[bytes] = set()
+    for start in range(yaw_starts):
+        yaw = 2.0 * np.pi * start / yaw_starts
+        roles: IntArray | None = None
+        for _ in range(_MAX_ROUNDS):
+            # |p - R q|^2 = |p|^2 + |q|^2 - 2 p.Rq: only the last term depends on the choice.
+            gain = (np.conj(pos_xy)[:, None] * (np.exp(1j * yaw) * points_xy)).real + gain_z
+            new_roles = linear_sum_assignment(gain, maximize=True)[1].astype(np.int64)
+            if roles is not None and np.array_equal(new_roles, roles):
+                break
+            roles = new_roles
+            if roles.tobytes() in seen:
+                break
+            seen.add(roles.tobytes())
+            yaw = _best_yaw(pos_xy, points_xy[roles])
+            cost = _cost(pos, points[roles], yaw)
+            # A gain within rounding is none: keeps the answer independent of the order of equal solutions.
+            if best is None or cost < best[0] - 1e-12 * (1.0 + best[0]):
+                best = (cost, roles, yaw)
+    assert best is not None  # noqa: S101 - the first round always sets it
+    return _assignment(best[1], best[2], best[0], pos_mean, points_mean)
+
+
+def fixed_roles(pos_team_enu_m: FloatArray, formation: Formation, role_of_agent: IntArray) -> Assignment:
+    """Best heading and place for roles that are given; arguments, result and errors as in `assign_roles`."""
+    pos, points, pos_mean, points_mean = _centred(pos_team_enu_m, formation)
+    if not np.array_equal(np.sort(role_of_agent), np.arange(formation.size)):
+        raise ValueError(f"roles {role_of_agent.tolist()} are no permutation of 0..{formation.size - 1}")
+    chosen = points[role_of_agent]
+    yaw = _best_yaw(pos[:, 0] + 1j * pos[:, 1], chosen[:, 0] + 1j * chosen[:, 1])
+    return _assignment(np.asarray(role_of_agent, dtype=np.int64), yaw, _cost(pos, chosen, yaw), pos_mean, points_mean)
+
+
+def _centred(pos_team_enu_m: FloatArray, formation: Formation) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Moves both centroids to the origin, which the best translation makes coincide whatever the rest."""
+    if pos_team_enu_m.shape != (formation.size, 3):
+        raise ValueError(
+            f"assignment: positions have shape {pos_team_enu_m.shape}, formation {formation.name} needs "
+            f"({formation.size}, 3)"
+        )
+    if not np.isfinite(pos_team_enu_m).all():
+        raise ValueError("assignment: a position is unknown; wait until every vehicle reports one")
+    pos_mean, points_mean = pos_team_enu_m.mean(axis=0), formation.points_enu_m.mean(axis=0)
+    return pos_team_enu_m - pos_mean, formation.points_enu_m - points_mean, pos_mean, points_mean
+
+
+def _best_yaw(pos_xy: ComplexArray, chosen_xy: ComplexArray) -> float:
+    """Rotation that brings chosen points nearest to positions; 0 where all rotations are equal."""
+    return float(np.angle(np.sum(np.conj(chosen_xy) * pos_xy)))
+
+
+def _cost(pos: FloatArray, chosen: FloatArray, yaw_rad: float) -> float:
+    """Sum of squared distances after the rotation."""
+    return float(np.sum((pos - place(chosen, yaw_rad, np.zeros(3))) ** 2))
+
+
+def _assignment(
+    roles: IntArray, yaw_rad: float, cost_m2: float, pos_mean: FloatArray, points_mean: FloatArray
+) -> Assignment:
+    """Puts the centroids back."""
+    translation = pos_mean - place(points_mean[None], yaw_rad, np.zeros(3))[0]
+    return Assignment(roles, yaw_rad, translation, cost_m2)

@@ -1,0 +1,240 @@
+"""The formation control law, equations (2), (3) and (14), on local views.
+
+Each agent multiplies the relative positions of its neighbours with its own row of gains, in its own tilted body
+frame, and sums. Nothing here knows where the team is. Refuses gains whose diagonal would be needed (the law uses
+differences only) and unknown scale functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from groundstation.core.formation import Formation, Gains
+from groundstation.core.types import BoolArray, ComplexArray, FloatArray, IntArray
+from groundstation.core.views import LocalViews
+
+ScaleKind = Literal["arctan", "tanh", "free"]
+
+
+@dataclass(frozen=True)
+class ScaleFunction:
+    """The map f of equation (14), which holds the formation's size.
+
+    Attributes:
+        kind: ``arctan`` or ``tanh`` of the distance error in metres; ``free`` leaves f out, which is equation (2).
+        gain: factor 1/k before it, > 0, 1/s. The authors flew arctan with 2.5.
+    """
+
+    kind: ScaleKind = "arctan"
+    gain: float = 2.5
+
+    def __post_init__(self) -> None:
+        """Refuses functions that would not be of the form that Section VII asks for."""
+        if self.kind not in ("arctan", "tanh", "free"):
+            raise ValueError(f"scale function: kind {self.kind!r} is none of arctan, tanh, free")
+        if self.kind != "free" and not 0.0 < self.gain < np.inf:
+            raise ValueError(f"scale function: gain is {self.gain}, must be positive and finite")
+
+    def __call__(self, error_m: FloatArray) -> FloatArray:
+        """Returns f of d_ij - d*_ij, any shape, in 1/s."""
+        if self.kind == "free":
+            return np.zeros_like(error_m)
+        shape = np.arctan(error_m) if self.kind == "arctan" else np.tanh(error_m)
+        return np.asarray(self.gain * shape, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What m agents were given before the mission: their rows of gains and of desired distances.
+
+    Attributes:
+        gains_xy: a_ij + i b_ij, shape (m, n), 1/s; the diagonal is never used.
+        gains_z: c_ij, shape (m, n), 1/s.
+        neighbours: j is a neighbour of i in the sensing graph, shape (m, n).
+        distances_m: desired distances d*_ij, shape (m, n).
+        rise_m: desired heights of j above i, z*_j - z*_i, shape (m, n); used by the upright term alone.
+    """
+
+    gains_xy: ComplexArray
+    gains_z: FloatArray
+    neighbours: BoolArray
+    distances_m: FloatArray
+    rise_m: FloatArray
+
+    def __post_init__(self) -> None:
+        """Refuses rows that do not belong together."""
+        shapes = {getattr(self, field.name).shape for field in fields(self)}
+        if len(shapes) != 1 or self.neighbours.ndim != 2:
+            raise ValueError(f"task: gains, neighbours and distances have shapes {sorted(shapes)}, expected one (m, n)")
+
+    def agent(self, index: int) -> Task:
+        """Cuts out the rows of one agent: the same thing with m = 1."""
+        rows = slice(index, index + 1)
+        return Task(
+            gains_xy=self.gains_xy[rows],
+            gains_z=self.gains_z[rows],
+            neighbours=self.neighbours[rows],
+            distances_m=self.distances_m[rows],
+            rise_m=self.rise_m[rows],
+        )
+
+
+def check_roles(role_of_agent: IntArray, n: int) -> None:
+    """Refuses anything but a permutation of the n roles.
+
+    Raises:
+        ValueError: a role is missing, given twice or out of range.
+    """
+    if role_of_agent.shape != (n,) or not np.array_equal(np.sort(role_of_agent), np.arange(n)):
+        raise ValueError(f"roles {role_of_agent.tolist()} are no permutation of 0..{n - 1}")
+
+
+def gains_for_roles(gains: Gains, role_of_agent: IntArray) -> Gains:
+    """Reorders gains from roles to agents: entry (i, j) becomes that of the roles of agents i and j.
+
+    Raises:
+        ValueError: the roles are no permutation.
+    """
+    check_roles(role_of_agent, len(gains.z))
+    pick = np.ix_(role_of_agent, role_of_agent)
+    return Gains(xy=gains.xy[pick], z=gains.z[pick])
+
+
+def task_for_roles(formation: Formation, gains: Gains, role_of_agent: IntArray) -> Task:
+    """Hands every agent the rows that belong to its role; a swap of roles is a new task, never new gains.
+
+    Args:
+        formation: n points and the sensing graph, by role.
+        gains: blocks of shape (n, n), by role.
+        role_of_agent: shape (n,), a permutation.
+
+    Returns:
+        The task of all n agents, by agent.
+
+    Raises:
+        ValueError: sizes that differ, or roles that are no permutation.
+    """
+    if len(gains.z) != formation.size:
+        raise ValueError(f"gains are for {len(gains.z)} agents, formation {formation.name} has {formation.size}")
+    by_agent = gains_for_roles(gains, role_of_agent)
+    pick = np.ix_(role_of_agent, role_of_agent)
+    height = formation.points_enu_m[role_of_agent, 2]
+    return Task(
+        gains_xy=by_agent.xy,
+        gains_z=by_agent.z,
+        neighbours=formation.adjacency[pick],
+        distances_m=formation.distances_m[pick],
+        rise_m=height[None, :] - height[:, None],
+    )
+
+
+def formation_control(
+    views: LocalViews,
+    task: Task,
+    scale: ScaleFunction,
+    control_gain: float = 1.0,
+    lead_s: float = 0.0,
+    upright_1_s: float = 0.0,
+) -> FloatArray:
+    """Computes the desired velocities, equation (14), or (2) with a free scale.
+
+    u_i = k sum over neighbours j of (A_ij + f(d_ij - d*_ij)) q_ij, q_ij the relative position in i's own frame. With
+    p = x + iy the block A_ij of equation (3) is a multiplication by a_ij + i b_ij and one by c_ij.
+
+    A neighbour that is not visible is left out of the sum: the agent goes on with the rest. That is the graph with
+    one edge fewer, seen from one side: the team still moves, but the formation is no guaranteed equilibrium until the
+    neighbour is back. `missing_neighbours` tells, and the mission decides.
+
+    Args:
+        views: what m agents see.
+        task: their rows of gains and distances, shape (m, n).
+        scale: f.
+        control_gain: k > 0, multiplies everything (Theorem 2 allows it, lag demands it).
+        lead_s: 0 for the paper's law. Above 0, q_ij is replaced by q_ij + lead_s * q_ij': for a vehicle whose
+            velocity follows with a first-order lag of lead_s that is where it would come to rest, and it obeys (1)
+            exactly, so that k need not pay for the lag (docs/avoidance.md). An unknown velocity counts as no motion.
+        upright_1_s: 0 for the paper's law. Above 0, upright_1_s times (z_ij - z*_ij) is added to the vertical sum. It
+            vanishes in the formation and pulls towards it, right side up. Without it a team that starts level stays
+            level until noise tips it, and half of the time it then forms upside down, which has all distances
+            right. It fixes the vertical scale: leave it out with a free scale.
+
+    Returns:
+        Shape (m, 3), body FLU of each agent, m/s, not yet limited.
+
+    Raises:
+        ValueError: shapes that differ, or a gain that is not positive.
+    """
+    if task.neighbours.shape != views.visible.shape:
+        raise ValueError(f"task is for {task.neighbours.shape}, views are {views.visible.shape}")
+    if not 0.0 < control_gain < np.inf:
+        raise ValueError(f"control gain is {control_gain}, must be positive and finite")
+    used = task.neighbours & views.visible
+    rel = np.where(used[..., None], views.rel_pos_flu_m, 0.0)
+    if lead_s > 0.0:
+        rel = rel + lead_s * np.where(used[..., None] & np.isfinite(views.rel_vel_flu_m_s), views.rel_vel_flu_m_s, 0.0)
+    x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
+    pull = scale(np.sqrt(x * x + y * y + z * z) - task.distances_m)
+    along = task.gains_xy.real + pull
+    across = task.gains_xy.imag
+    vel = np.empty((views.viewers, 3))
+    np.sum(along * x - across * y, axis=1, out=vel[:, 0])
+    np.sum(across * x + along * y, axis=1, out=vel[:, 1])
+    upward = (task.gains_z + pull) * z
+    if upright_1_s > 0.0:
+        upward = upward + np.where(used, upright_1_s * (z - task.rise_m), 0.0)
+    np.sum(upward, axis=1, out=vel[:, 2])
+    vel *= control_gain
+    return vel
+
+
+def missing_neighbours(views: LocalViews, task: Task) -> BoolArray:
+    """Edges of the sensing graph whose far end is not visible, shape (m, n)."""
+    return task.neighbours & ~views.visible
+
+
+def saturate(vel_m_s: FloatArray, speed_max_m_s: float) -> FloatArray:
+    """Shortens velocities to the speed limit, keeping their direction (Corollary 1 (i)); shape (..., 3), any frame.
+
+    Raises:
+        ValueError: a limit that is not positive and finite.
+    """
+    if not 0.0 < speed_max_m_s < np.inf:
+        raise ValueError(f"speed limit is {speed_max_m_s} m/s, must be positive and finite")
+    x, y, z = vel_m_s[..., 0], vel_m_s[..., 1], vel_m_s[..., 2]
+    speed = np.sqrt(x * x + y * y + z * z)
+    return vel_m_s * (speed_max_m_s / np.maximum(speed, speed_max_m_s))[..., None]
+
+
+def largest_rate_1_s(gains: Gains) -> float:
+    """The fastest mode of the gains: the largest magnitude of an eigenvalue of A, 1/s (10 as designed)."""
+    return float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
+
+
+def auto_control_gain(lambda_max_1_s: float, tau_s: float, delay_s: float, lead_s: float = 0.0) -> float:
+    """The control gain that a lagging vehicle can bear: k lambda_max (tau + delay) = 0.5, at most 1.
+
+    The mode of rate lambda then closes as tau s'' + s' + k lambda s = 0, whose damping 1 / (2 sqrt(k lambda tau)) is
+    1 / sqrt(2) or more. With k lambda (tau + delay) = 10 every run oscillated, with 0.5 every run formed.
+
+    Args:
+        lambda_max_1_s: largest magnitude of an eigenvalue of the gains, > 0.
+        tau_s: lag of the slowest vehicle's velocity loop, >= 0.
+        delay_s: from measurement to effect, >= 0.
+        lead_s: the part of the lag that `formation_control` makes up for.
+
+    Returns:
+        k in (0, 1].
+
+    Raises:
+        ValueError: a rate that is not positive, or a negative time.
+    """
+    if not lambda_max_1_s > 0.0:
+        raise ValueError(f"largest rate of the gains is {lambda_max_1_s} 1/s, must be positive")
+    if not (tau_s >= 0.0 and delay_s >= 0.0 and lead_s >= 0.0):
+        raise ValueError(f"lag {tau_s} s, delay {delay_s} s and lead {lead_s} s must be numbers, none negative")
+    # A quarter of what is made up for is not trusted: the lag is never known exactly, nor is it of first order.
+    uncompensated_s = max(tau_s - 0.75 * lead_s, 0.0) + delay_s
+    return 1.0 if uncompensated_s == 0.0 else min(1.0, 0.5 / (lambda_max_1_s * uncompensated_s))

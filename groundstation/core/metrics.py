@@ -1,0 +1,68 @@
+"""What is measured on a team: distances, formation error, and which way up the formation came out.
+
+Refuses nothing and decides nothing: numbers for monitors, reports and tests.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+
+
+def pair_distances_m(pos_m: FloatArray) -> FloatArray:
+    """Distances between all pairs, shape (..., n, n) for positions (..., n, 3) in any one frame; NaN stays NaN."""
+    difference = pos_m[..., :, None, :] - pos_m[..., None, :, :]
+    return np.asarray(np.sqrt((difference * difference).sum(axis=-1)), dtype=np.float64)
+
+
+def formation_error_m(pos_m: FloatArray, distances_m: FloatArray, role_of_agent: IntArray) -> float:
+    """Largest |d_ij - d*_ij| over all pairs, for the roles that the agents have.
+
+    Args:
+        pos_m: shape (n, 3), any one frame.
+        distances_m: desired distances by role, shape (n, n) (`Formation.distances_m`).
+        role_of_agent: shape (n,).
+
+    Returns:
+        Metres; NaN when a position is unknown; 0 for a single agent.
+    """
+    wanted = distances_m[np.ix_(role_of_agent, role_of_agent)]
+    return float(np.abs(pair_distances_m(pos_m) - wanted).max())
+
+
+def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None) -> float:
+    """Smallest distance between two counted agents.
+
+    Args:
+        pos_m: shape (n, 3), any one frame; unknown positions (NaN) count as nobody.
+        counted: who counts (airborne, say), shape (n,); everybody when absent.
+
+    Returns:
+        Metres; infinite when fewer than two agents count.
+    """
+    here = np.isfinite(pos_m).all(axis=1)
+    if counted is not None:
+        here = here & counted
+    distances = pair_distances_m(pos_m[here])
+    first, second = np.triu_indices(len(distances), 1)
+    return float(distances[first, second].min()) if len(first) else float("inf")
+
+
+def vertical_orientation(height_m: FloatArray, points_height_m: FloatArray, role_of_agent: IntArray) -> float:
+    """Tells a formation from its mirror image upside down, which has all distances right.
+
+    From a flat start both are equally near, and distances cannot tell them apart.
+
+    Args:
+        height_m: heights of the agents, up positive, shape (n,).
+        points_height_m: heights of the formation's points by role, shape (n,).
+        role_of_agent: shape (n,).
+
+    Returns:
+        Correlation in [-1, 1]: near 1 upright, near -1 upside down; 0 where either has no height to speak of.
+    """
+    wanted = points_height_m[role_of_agent]
+    a, b = height_m - height_m.mean(), wanted - wanted.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 1e-9 else 0.0

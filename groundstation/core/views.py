@@ -1,0 +1,116 @@
+"""What each agent sees: relative positions and velocities in its own tilted body frame, and nothing else.
+
+From a view to the setpoint an agent uses its view alone (Section III): no team position, no heading of anybody, no
+command of another. What an agent does not see is NaN here, so that nothing can leak by accident: a forgotten mask
+shows as NaN in the setpoint, which `limits` refuses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from groundstation.core import frames
+from groundstation.core.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class LocalViews:
+    """Views of m agents on a team of n: row i is what agent i sees. All functions of `core` take any m >= 0.
+
+    Attributes:
+        rel_pos_flu_m: position of j relative to i, axes of i's body FLU, shape (m, n, 3), NaN where not visible.
+        rel_vel_flu_m_s: velocity of j minus velocity of i, same axes, shape (m, n, 3), NaN where not visible or
+            where either velocity is unknown.
+        visible: agent i sees agent j, shape (m, n); nobody sees itself.
+        vel_flu_m_s: own velocity in own axes, shape (m, 3), NaN where unknown.
+    """
+
+    rel_pos_flu_m: FloatArray
+    rel_vel_flu_m_s: FloatArray
+    visible: BoolArray
+    vel_flu_m_s: FloatArray
+
+    def __post_init__(self) -> None:
+        """Refuses arrays that do not belong together."""
+        m, n = self.visible.shape
+        if self.rel_pos_flu_m.shape != (m, n, 3) or self.rel_vel_flu_m_s.shape != (m, n, 3):
+            raise ValueError(
+                f"views: relative positions {self.rel_pos_flu_m.shape} and velocities "
+                f"{self.rel_vel_flu_m_s.shape} do not fit visible {self.visible.shape}"
+            )
+        if self.vel_flu_m_s.shape != (m, 3):
+            raise ValueError(f"views: own velocities have shape {self.vel_flu_m_s.shape}, expected ({m}, 3)")
+
+    @property
+    def viewers(self) -> int:
+        """Number of agents that look, m."""
+        return len(self.visible)
+
+    @property
+    def team_size(self) -> int:
+        """Number of agents that may be seen, n."""
+        return int(self.visible.shape[1])
+
+    def agent(self, index: int) -> LocalViews:
+        """Cuts out one agent's view: the same thing with m = 1, all that this agent would hold on board."""
+        rows = slice(index, index + 1)
+        return LocalViews(
+            rel_pos_flu_m=self.rel_pos_flu_m[rows],
+            rel_vel_flu_m_s=self.rel_vel_flu_m_s[rows],
+            visible=self.visible[rows],
+            vel_flu_m_s=self.vel_flu_m_s[rows],
+        )
+
+
+def local_views(
+    pos_team_ned_m: FloatArray,
+    vel_ned_m_s: FloatArray,
+    quat_ned_from_frd: FloatArray,
+    sensed: BoolArray,
+) -> LocalViews:
+    """Builds every agent's local view.
+
+    Args:
+        pos_team_ned_m: positions at one instant, shape (n, 3), team frame NED; NaN rows are unknown positions.
+        vel_ned_m_s: velocities, shape (n, 3), NED; NaN rows are unknown.
+        quat_ned_from_frd: attitudes w x y z, shape (n, 4).
+        sensed: agent i can measure agent j, shape (n, n); the diagonal is ignored.
+
+    Returns:
+        Views of all n agents. An agent whose position is unknown sees nobody and is seen by nobody.
+
+    Raises:
+        ValueError: shapes, or an attitude that is none.
+    """
+    n = len(pos_team_ned_m)
+    if pos_team_ned_m.shape != (n, 3) or vel_ned_m_s.shape != (n, 3) or quat_ned_from_frd.shape != (n, 4):
+        raise ValueError(
+            f"poses of {n} agents have shapes {pos_team_ned_m.shape}, {vel_ned_m_s.shape}, "
+            f"{quat_ned_from_frd.shape}, expected (n, 3), (n, 3), (n, 4)"
+        )
+    if sensed.shape != (n, n):
+        raise ValueError(f"sensed has shape {sensed.shape}, expected ({n}, {n})")
+    known = np.asarray(np.isfinite(pos_team_ned_m).all(axis=1), dtype=np.bool_)
+    visible = np.asarray(sensed & known[None, :] & known[:, None], dtype=np.bool_)
+    np.fill_diagonal(visible, False)
+    rot = frames.rot_ned_from_flu(quat_ned_from_frd)
+    # Positions and velocities go through the rotation together: half the calls.
+    state = np.stack([pos_team_ned_m, vel_ned_m_s])
+    relative = state[:, None, :, :] - state[:, :, None, :]
+    relative[:, ~visible] = np.nan
+    rel_flu = frames.rotate_back(rot[:, None], relative)
+    return LocalViews(
+        rel_pos_flu_m=rel_flu[0],
+        rel_vel_flu_m_s=rel_flu[1],
+        visible=visible,
+        vel_flu_m_s=frames.rotate_back(rot, vel_ned_m_s),
+    )
+
+
+def distances_m(views: LocalViews) -> FloatArray:
+    """Distances to everybody seen, shape (m, n), NaN where not visible."""
+    rel = views.rel_pos_flu_m
+    x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
+    return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float64)

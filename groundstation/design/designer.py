@@ -1,0 +1,271 @@
+"""One call from a formation to certified gains.
+
+Chooses a method per block, lets it work, and then believes only the certificate: the answer is a matrix whose
+eigenvalues were recomputed, or a refusal with the reason. There is nothing in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.spatial
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+
+from groundstation.core.formation import Formation, Gains
+from groundstation.core.types import ComplexArray, FloatArray
+from groundstation.design.certify import (
+    WEAKEST,
+    BlockCertificate,
+    Certificate,
+    certify_block,
+    dual_on_non_edges,
+    faults,
+    scale_to_norm,
+)
+from groundstation.design.closed_form import solve_complete
+from groundstation.design.interior_point import solve_interior_point
+from groundstation.design.problem import Block, BlockSolution, Matrix, Watch, hermitian_part, split
+from groundstation.design.sdp import solve_clarabel, solve_cvxpy
+from groundstation.design.splitting import solve_splitting
+
+SPECTRAL_NORM = 10.0
+"""Fastest mode of every design, 1/s: (11) leaves the scale open, this is the authors' value."""
+
+COINCIDENT = 1e-6
+"""Distance relative to the formation's size below which two agents count as standing in one place."""
+
+DENSE_GRAPH = 0.3
+"""Share of all pairs that are edges, above which splitting converges faster than an interior point."""
+
+FEW_ITERATIONS = 600
+"""Splitting iterations before the interior point is tried."""
+
+LARGEST_SCHUR = 14_000
+"""Unknowns up to which the Schur complement of an interior point is formed: 1.6 GB."""
+
+Solver = Callable[[Block, float, Watch], BlockSolution]
+
+METHODS: dict[str, Solver] = {
+    "closed-form": solve_complete,
+    "interior-point": solve_interior_point,
+    "splitting": solve_splitting,
+    "clarabel": solve_clarabel,
+    "cvxpy": solve_cvxpy,
+}
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """What came of a design.
+
+    Attributes:
+        formation: what was asked for.
+        gains: the certified matrices, None when the design was refused.
+        certificate: figures of the gains, or of the best matrix found when they were refused; None when no solver ran.
+        reason: why it was refused, empty otherwise.
+        method: what found the blocks, ``xy/z`` where they differ.
+        finished: whether the gap was reached.
+    """
+
+    formation: Formation
+    gains: Gains | None
+    certificate: Certificate | None
+    reason: str
+    method: str
+    finished: bool
+
+    @property
+    def feasible(self) -> bool:
+        """Whether there are gains."""
+        return self.gains is not None
+
+
+def default_gap(n: int) -> float:
+    """Certified relative gap at which a method may stop: 1e-6 where it costs nothing, 1e-3 to n = 150, then 1e-2."""
+    if n <= 32:
+        return 1e-6
+    return 1e-3 if n <= 150 else 1e-2
+
+
+def suitable_methods(block: Block) -> list[str]:
+    """Names of the methods that suit a block, best first; the next one is tried when one fails to reach the gap."""
+    n, edges = block.size, len(block.edges)
+    if block.complete:
+        return ["closed-form"]
+    if n <= 16:
+        return ["interior-point", "clarabel"]
+    unknowns = len(block.unknown_edges) - (3 * n if block.is_complex else n)
+    density = 2.0 * edges / (n * (n - 1))
+    fits = unknowns <= LARGEST_SCHUR
+    if n <= 32 or density < DENSE_GRAPH:
+        return ["interior-point", "splitting"] if fits else ["splitting"]
+    return ["splitting", "interior-point"] if fits else ["splitting"]
+
+
+def design(
+    formation: Formation,
+    *,
+    method: str = "auto",
+    gap: float | None = None,
+    spectral_norm: float = SPECTRAL_NORM,
+    watch: Watch | None = None,
+) -> DesignResult:
+    """Designs the gains of a formation (Section IV, Algorithm 1).
+
+    Args:
+        formation: points and sensing graph.
+        method: a name of ``METHODS``, or ``auto``.
+        gap: certified relative gap at which to stop; ``default_gap`` when None.
+        spectral_norm: largest eigenvalue of -A, 1/s.
+        watch: progress and interruption; an interrupted design keeps the best certified matrix.
+
+    Returns:
+        Certified gains, or a refusal with the reason.
+
+    Raises:
+        ValueError: unknown method, or one that does not fit (the closed form on an incomplete graph).
+    """
+    if method != "auto" and method not in METHODS:
+        raise ValueError(f"method {method!r} is unknown, known are auto, {', '.join(METHODS)}")
+    together = coincident_agents(formation)
+    if together:
+        i, j = together[0]
+        reason = f"agents {i + 1} and {j + 1} stand in one place; move one of them, gains cannot tell them apart"
+        return DesignResult(formation, None, None, reason, "none", finished=True)
+    watch = watch or Watch()
+    wanted = default_gap(formation.size) if gap is None else gap
+    with _one_thread():
+        xy, z = split(formation)
+        found = [_solve(block, method, wanted, spectral_norm, watch) for block in (xy, z)]
+    names = [part.method for part in found]
+    used = names[0] if names[0] == names[1] else "/".join(names)
+    gains = Gains(
+        xy=np.asarray(found[0].gain, dtype=np.complex128),
+        z=np.asarray(found[1].gain.real, dtype=np.float64),
+    )
+    certificate = Certificate(found[0].figures, found[1].figures)
+    finished = all(part.reached for part in found)
+    reason = _refusal(certificate, spectral_norm) or "; ".join(faults(formation, gains, certificate))
+    return DesignResult(formation, None if reason else gains, certificate, reason, used, finished)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """One block of A with its certificate, from one method or from the best of several."""
+
+    method: str
+    gain: Matrix
+    figures: BlockCertificate
+    reached: bool
+
+
+def _solve(block: Block, method: str, gap: float, spectral_norm: float, watch: Watch) -> _Found:
+    """Tries methods until the certificate says that the gap is reached; keeps the best matrix and the best bound."""
+    if block.free == 0:
+        zero = np.zeros((block.size, block.size), dtype=block.dtype)
+        return _Found("closed-form", zero, certify_block(block, zero, zero), reached=True)
+    names = suitable_methods(block) if method == "auto" else [method]
+    best: _Found | None = None
+    for place, name in enumerate(names):
+        if name == "splitting" and place + 1 < len(names):
+            solution = solve_splitting(block, gap, watch, most=FEW_ITERATIONS)
+        else:
+            solution = METHODS[name](block, gap, watch)
+        found = _judge(block, name, solution, gap, spectral_norm)
+        best = found if best is None else _better(best, found, gap, spectral_norm)
+        if best.reached or watch.stop():
+            break
+    if best is None:
+        raise ValueError(f"no method for block {block.name}")
+    return best
+
+
+def _judge(block: Block, name: str, solution: BlockSolution, gap: float, spectral_norm: float) -> _Found:
+    if name == "closed-form":
+        gain = -spectral_norm * solution.matrix
+    else:
+        gain = -scale_to_norm(block, clean(block, solution.matrix), spectral_norm)
+    figures = certify_block(block, gain, dual_on_non_edges(block, solution.dual))
+    return _Found(name, gain, figures, _reached(figures, gap, spectral_norm))
+
+
+def _reached(figures: BlockCertificate, gap: float, spectral_norm: float) -> bool:
+    """Whether the certified interval is narrow enough, or proves that there is nothing to be found."""
+    if figures.bound < WEAKEST * spectral_norm:
+        return True
+    # rounding in matrix and dual may cost a little of the last digit that the method saw
+    wanted = max(2.0 * gap, 1e-7) * figures.bound
+    return figures.slowest >= WEAKEST * spectral_norm and figures.bound - figures.slowest <= wanted
+
+
+def _better(one: _Found, other: _Found, gap: float, spectral_norm: float) -> _Found:
+    keep, spare = (one, other) if one.figures.slowest >= other.figures.slowest else (other, one)
+    figures = keep.figures
+    if spare.figures.bound < figures.bound:
+        figures = replace(figures, bound=max(figures.slowest, spare.figures.bound), dual=spare.figures.dual)
+    return _Found(keep.method, keep.gain, figures, _reached(figures, gap, spectral_norm))
+
+
+def clean(block: Block, matrix: Matrix) -> Matrix:
+    """Removes rounding: exactly Hermitian, exactly zero off the graph, diagonal the negative row sums."""
+    tidy = np.where(block.adjacency, hermitian_part(matrix), 0.0)
+    tidy[np.diag_indices(block.size)] = -tidy.sum(axis=1).real
+    return np.asarray(tidy)
+
+
+def coincident_agents(formation: Formation) -> list[tuple[int, int]]:
+    """Pairs of agents, from 0, that stand in one place: nothing in (11) sees that."""
+    if formation.size < 2:
+        return []
+    points = formation.points_enu_m - formation.points_enu_m.mean(axis=0)
+    tree = scipy.spatial.cKDTree(points)
+    pairs = tree.query_pairs(COINCIDENT * float(np.max(np.abs(points))))
+    return sorted((int(i), int(j)) for i, j in pairs)
+
+
+def _refusal(certificate: Certificate, spectral_norm: float) -> str:
+    parts = []
+    for label, figures in (("horizontally", certificate.xy), ("vertically", certificate.z)):
+        if figures.slowest >= WEAKEST * spectral_norm:
+            continue
+        if figures.bound < WEAKEST * spectral_norm:
+            parts.append(f"{label}, no gains on this graph hold the formation")
+        else:
+            parts.append(
+                f"{label}, nothing could be certified: the slowest mode lies between 0 and {figures.bound:.3g} 1/s; "
+                "allow more time or another method"
+            )
+    return "; ".join(parts)
+
+
+_controller: list[ThreadpoolController] = []
+
+
+def _one_thread() -> AbstractContextManager[object]:
+    """Keeps BLAS on one thread: two on a busy machine were up to 40 times slower."""
+    if not _controller:
+        _controller.append(ThreadpoolController())
+    limited: AbstractContextManager[object] = _controller[0].limit(limits=1, user_api="blas")
+    return limited
+
+
+def aggregate(gains: Gains) -> FloatArray:
+    """The matrix A of (7), built from the blocks of (3).
+
+    Args:
+        gains: the two blocks, shape (n, n) each.
+
+    Returns:
+        Shape (3n, 3n), acting on [x1, y1, z1, x2, ...].
+    """
+    n = len(gains.z)
+    blocks = np.zeros((n, 3, n, 3))
+    xy: ComplexArray = gains.xy
+    blocks[:, 0, :, 0] = blocks[:, 1, :, 1] = xy.real
+    blocks[:, 1, :, 0] = xy.imag
+    blocks[:, 0, :, 1] = -xy.imag
+    blocks[:, 2, :, 2] = gains.z
+    return blocks.reshape(3 * n, 3 * n)

@@ -1,0 +1,343 @@
+"""Formation files and gains files.
+
+Reads what people write, strictly: an unknown key, an edge out of range or a gains file that does not belong to its
+formation is a ``UserError`` that names file, key and remedy. Never unpickles. Stores only what carries a certificate,
+and believes no certificate on reading: ``check_gains`` computes it again.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
+
+from groundstation.core.errors import UserError
+from groundstation.core.formation import Formation, Gains
+from groundstation.core.types import ComplexArray, FloatArray
+from groundstation.design.certify import Certificate, certify, faults
+from groundstation.design.problem import Matrix
+
+FILE_VERSION = 1
+CLAIM_TOLERANCE = 1e-6
+"""Stored eigenvalues may differ from recomputed ones by this much of the spectral norm."""
+
+DAMAGE = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    AttributeError,
+    RuntimeError,
+    MemoryError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What numpy and zipfile raise on files that are cut, altered or no archives at all."""
+
+
+def _no_bool(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("should be a number, not yes or no")
+    return value
+
+
+Number = Annotated[FiniteFloat, BeforeValidator(_no_bool)]
+Positive = Annotated[FiniteFloat, BeforeValidator(_no_bool), Field(gt=0)]
+Agent = Annotated[int, Field(strict=True, ge=1)]
+
+
+class FormationFile(BaseModel):
+    """A formation as written: positions in ENU metres before scaling, agents counted from 1.
+
+    Attributes:
+        name: for messages.
+        scale: multiplies points.
+        points: one [x, y, z] per agent, agent 1 first.
+        edges: pairs of agents, or ``complete``.
+        avoidance_radius_m: safety radius with which the formation was flown; a mission sets its own.
+        avoidance_activation_m: activation distance with which it was flown.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Annotated[str, Field(strict=True, min_length=1)]
+    scale: Positive = 1.0
+    points: Annotated[list[Annotated[list[Number], Field(min_length=3, max_length=3)]], Field(min_length=1)]
+    edges: Literal["complete"] | list[Annotated[list[Agent], Field(min_length=2, max_length=2)]]
+    avoidance_radius_m: Positive | None = None
+    avoidance_activation_m: Positive | None = None
+
+
+def load_formation_file(path: Path) -> FormationFile:
+    """Reads a formation file as it is written.
+
+    Raises:
+        UserError: unreadable, not YAML, an unknown key, a wrong type or an impossible edge; names file and key.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}); name an existing formation file") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        where = str(error).replace("\n", " ")
+        raise UserError(f"{path}: not valid YAML ({where})") from error
+    if not isinstance(content, dict):
+        raise UserError(f"{path}: expected the keys name, scale, points and edges, found {type(content).__name__}")
+    try:
+        file = FormationFile.model_validate(content)
+    except ValidationError as error:
+        raise UserError(f"{path}: {_first_error(error)}") from error
+    _check_edges(path, file)
+    return file
+
+
+def load_formation(path: Path) -> Formation:
+    """Reads a formation: scale applied, agents counted from 0, edges sorted.
+
+    Raises:
+        UserError: as ``load_formation_file``.
+    """
+    return to_formation(load_formation_file(path))
+
+
+def to_formation(file: FormationFile) -> Formation:
+    """Applies the scale, counts agents from 0 and sorts the edges of a checked formation file."""
+    points = np.array(file.points, dtype=np.float64) * file.scale
+    n = len(points)
+    if file.edges == "complete":
+        pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
+    else:
+        pairs = sorted((min(i, j) - 1, max(i, j) - 1) for i, j in file.edges)
+    return Formation(name=file.name, points_enu_m=points, edges=tuple(pairs))
+
+
+def _first_error(error: ValidationError) -> str:
+    """First finding in the words ``key[index]: what is wrong``."""
+    findings = error.errors()
+    if findings[0]["loc"] == ("edges", "literal['complete']") and isinstance(findings[0]["input"], list):
+        findings = findings[1:]  # it is not the word, and was not meant to be
+    finding = findings[0]
+    # pydantic puts the name of the union's member into the location of `edges`
+    parts = [part for part in finding["loc"] if not (isinstance(part, str) and "[" in part)]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
+    if finding["type"] == "extra_forbidden":
+        return f"{key}: unknown key; known are {', '.join(FormationFile.model_fields)}"
+    if finding["type"] == "missing":
+        return f"{key}: missing"
+    if key == "edges":
+        return f"edges: {finding['input']!r} is neither a list of pairs [i, j] nor the word complete"
+    return f"{key}: {finding['msg'][:1].lower()}{finding['msg'][1:]}, found {finding['input']!r}"
+
+
+def _check_edges(path: Path, file: FormationFile) -> None:
+    if file.edges == "complete":
+        return
+    seen: dict[tuple[int, int], int] = {}
+    for index, (i, j) in enumerate(file.edges):
+        if max(i, j) > len(file.points):
+            raise UserError(f"{path}: edges[{index}]: there is no agent {max(i, j)}, points has {len(file.points)}")
+        if i == j:
+            raise UserError(f"{path}: edges[{index}]: joins agent {i} to itself; remove it")
+        pair = (min(i, j), max(i, j))
+        if pair in seen:
+            raise UserError(f"{path}: edges[{index}]: {i} to {j} is already edges[{seen[pair]}]; remove one")
+        seen[pair] = index
+
+
+@dataclass(frozen=True)
+class StoredGains:
+    """A gains file as read, unchecked beyond its layout.
+
+    Attributes:
+        path: where it was read, for messages.
+        gains: the matrices.
+        points_enu_m: formation they were designed for, shape (n, 3), ENU metres.
+        edges: its graph, counted from 0.
+        dual_xy: dual matrix of the horizontal block, shape (n, n), see ``design.certify``.
+        dual_z: dual matrix of the vertical block, shape (n, n).
+        claims: the stored figures: rows xy and z, columns slowest, fastest, bound, zeros, residual, shape (2, 5).
+        method: what found the gains.
+    """
+
+    path: Path
+    gains: Gains
+    points_enu_m: FloatArray
+    edges: tuple[tuple[int, int], ...]
+    dual_xy: ComplexArray
+    dual_z: FloatArray
+    claims: FloatArray
+    method: str
+
+
+def save_gains(path: Path, formation: Formation, gains: Gains, certificate: Certificate, method: str) -> None:
+    """Writes a gains file; the same values give the same bytes, and a crash leaves the old file whole.
+
+    Args:
+        path: ``.npz`` to write.
+        formation: what the gains are for.
+        gains: the matrices.
+        certificate: their proof.
+        method: what found them.
+
+    Raises:
+        UserError: the gains are no design for this formation (nothing is written), or the file cannot be written.
+    """
+    found = faults(formation, gains, certificate)
+    if found:
+        raise UserError(f"{path}: not stored, the gains are no design for {formation.name}: {'; '.join(found)}")
+    members: dict[str, NDArray[np.generic]] = {
+        "xy": gains.xy,
+        "z": gains.z,
+        "points": formation.points_enu_m,
+        "edges": np.array(formation.edges, dtype=np.int64).reshape(-1, 2) + 1,
+        "certificate": claims(certificate),
+        "dual_xy": np.asarray(certificate.xy.dual, dtype=np.complex128),
+        "dual_z": np.asarray(certificate.z.dual, dtype=np.float64),
+        "method": np.array(method),
+        "version": np.array(FILE_VERSION),
+    }
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+            for name, values in members.items():
+                info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+                info.create_system, info.external_attr = 3, 0o644 << 16
+                info.compress_type = zipfile.ZIP_DEFLATED
+                buffer = io.BytesIO()
+                np.lib.format.write_array(buffer, np.asarray(values, order="C"), version=(1, 0), allow_pickle=False)
+                archive.writestr(info, buffer.getvalue())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise UserError(f"{path}: cannot be written ({error.strerror}); choose another place with -o") from error
+
+
+def claims(certificate: Certificate) -> FloatArray:
+    """The figures of a certificate as stored, shape (2, 5); see ``StoredGains.claims``."""
+    return np.array(
+        [[b.slowest, b.fastest, b.bound, b.zeros, b.residual] for b in (certificate.xy, certificate.z)],
+        dtype=np.float64,
+    )
+
+
+def load_gains(path: Path) -> StoredGains:
+    """Reads a gains file; call ``check_gains`` before using it.
+
+    Raises:
+        UserError: missing, truncated, not a gains file, or with arrays of wrong shapes.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: no such file; make it with: gs design FORMATION.yaml -o {path}") from error
+    except DAMAGE as error:
+        raise UserError(f"{path}: no gains file, or a damaged one ({error}); make it again with gs design") from error
+    try:
+        return _unpack(path, arrays)
+    except (KeyError, ValueError, TypeError) as error:
+        raise UserError(f"{path}: not a gains file: {error}; make it again with gs design") from error
+
+
+def _unpack(path: Path, arrays: dict[str, NDArray[np.generic]]) -> StoredGains:
+    for name in ("xy", "z", "points", "edges", "certificate", "dual_xy", "dual_z", "method", "version"):
+        if name not in arrays:
+            raise ValueError(f"array {name} is missing")
+    if int(_numbers(arrays, "version", ())) != FILE_VERSION:
+        raise ValueError(f"version {arrays['version']} is unknown, this program writes {FILE_VERSION}")
+    n = len(np.atleast_1d(arrays["points"]))
+    edges = _numbers(arrays, "edges", (-1, 2))
+    if edges.size and (np.any(edges != np.round(edges)) or edges.min() < 1 or edges.max() > n):
+        raise ValueError("array edges names an agent that does not exist")
+    pairs = tuple((int(i) - 1, int(j) - 1) for i, j in edges)
+    return StoredGains(
+        path=path,
+        gains=Gains(xy=_entries(arrays, "xy", n), z=_numbers(arrays, "z", (n, n))),
+        points_enu_m=_numbers(arrays, "points", (n, 3)),
+        edges=pairs,
+        dual_xy=_entries(arrays, "dual_xy", n),
+        dual_z=_numbers(arrays, "dual_z", (n, n)),
+        claims=_numbers(arrays, "certificate", (2, 5)),
+        method=str(arrays["method"]),
+    )
+
+
+def _entries(arrays: dict[str, NDArray[np.generic]], name: str, n: int) -> ComplexArray:
+    values = arrays[name]
+    if values.shape != (n, n) or values.dtype.kind not in "fiuc":
+        raise ValueError(f"array {name} is {values.shape} of {values.dtype}, expected ({n}, {n}) of complex numbers")
+    return values.astype(np.complex128)
+
+
+def _numbers(arrays: dict[str, NDArray[np.generic]], name: str, shape: tuple[int, ...]) -> FloatArray:
+    values = arrays[name]
+    fits = values.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, values.shape, strict=True))
+    if not fits or values.dtype.kind not in "fiu":
+        raise ValueError(f"array {name} has shape {values.shape} of {values.dtype}, expected {shape} of real numbers")
+    return values.astype(np.float64)
+
+
+def check_gains(stored: StoredGains, formation: Formation) -> Certificate:
+    """Checks a gains file against the formation that is to be flown, and against itself.
+
+    Belonging: same coordinates, same edges. Soundness: kernel, symmetry, structure (3), pattern, spectrum; the stored
+    figures are compared with recomputed ones.
+
+    Args:
+        stored: what ``load_gains`` read.
+        formation: what is to be flown.
+
+    Returns:
+        The recomputed certificate.
+
+    Raises:
+        UserError: file and reason.
+    """
+    where = stored.path
+    mend = f"make new ones with: gs design {formation.name}.yaml -o {where.name}"
+    if len(stored.points_enu_m) != formation.size:
+        raise UserError(
+            f"{where}: gains of another formation: they are for {len(stored.points_enu_m)} agents, "
+            f"{formation.name} has {formation.size}; {mend}"
+        )
+    size_m = max(float(np.max(np.abs(formation.points_enu_m))), 1e-300)
+    apart = np.max(np.abs(stored.points_enu_m - formation.points_enu_m), axis=1)
+    # a coordinate may have gone through a decimal file, no more
+    if not np.all(apart <= 1e-9 * size_m):
+        worst = int(np.argmax(apart)) + 1
+        raise UserError(
+            f"{where}: gains of another formation: agent {worst} stands {np.max(apart):.3g} m from where "
+            f"{formation.name} has it; {mend}"
+        )
+    extra, missing = set(stored.edges) - set(formation.edges), set(formation.edges) - set(stored.edges)
+    if extra or missing:
+        i, j = sorted(extra or missing)[0]
+        kind = "not in" if extra else "missing from the gains of"
+        edge = f"edge {i + 1} to {j + 1} is {kind} {formation.name}"
+        raise UserError(f"{where}: gains of another formation: {edge}; {mend}")
+    arrays: list[Matrix] = [stored.gains.xy, stored.gains.z, stored.dual_xy, stored.dual_z]
+    if not all(np.all(np.isfinite(values)) for values in arrays):
+        raise UserError(f"{where}: the gains contain a number that is not finite; {mend}")
+    certificate = certify(formation, stored.gains, stored.dual_xy, stored.dual_z)
+    found = faults(formation, stored.gains, certificate)
+    if found:
+        raise UserError(f"{where}: no sound design: {'; '.join(found)}; {mend}")
+    now = claims(certificate)[:, :4]
+    norm = max(certificate.xy.fastest, certificate.z.fastest, 1.0)
+    with np.errstate(invalid="ignore"):
+        differs = (np.abs(now - stored.claims[:, :4]) > CLAIM_TOLERANCE * norm) & (now != stored.claims[:, :4])
+    if differs.any() or np.isnan(stored.claims).any():
+        raise UserError(f"{where}: the stored certificate does not fit the gains, the file was altered; {mend}")
+    return certificate

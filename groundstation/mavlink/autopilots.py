@@ -1,0 +1,110 @@
+"""What differs from autopilot to autopilot: mode words, commands, streams. One class each, no ``if`` elsewhere.
+
+Facts come from the MAVLink definitions and from what the firmware was seen to do (docs/vehicles.md). Nothing here
+keeps state or sends bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+from groundstation.mavlink.codec import message_id
+from groundstation.mavlink.commands import Command
+
+CMD_NAV_LAND = 21
+CMD_DO_SET_MODE = 176
+CMD_COMPONENT_ARM_DISARM = 400
+CMD_SET_MESSAGE_INTERVAL = 511
+_CUSTOM_MODE_ENABLED = 1.0
+
+MASK_VELOCITY_AND_YAW = 0x09C7
+"""POSITION_TARGET_TYPEMASK that leaves velocity and yaw to us and ignores position, acceleration and yaw rate."""
+FRAME_LOCAL_NED = 1  # MAV_FRAME
+
+
+class Autopilot(ABC):
+    """How one kind of autopilot is asked for things."""
+
+    name: str
+    mav_autopilot: int
+
+    def arm(self) -> Command:
+        """Command that arms, with the autopilot's own checks."""
+        return Command("arm", CMD_COMPONENT_ARM_DISARM, (1.0,))
+
+    def disarm(self) -> Command:
+        """Command that disarms on the ground; refused in the air."""
+        return Command("disarm", CMD_COMPONENT_ARM_DISARM, (0.0,))
+
+    def message_interval(self, message: str, rate_hz: float) -> Command:
+        """Command that sets the rate of a stream; at most that often, as the vehicle's clock divides."""
+        interval_us = round(1e6 / rate_hz)
+        return Command(
+            f"{rate_hz:g} Hz of {message}", CMD_SET_MESSAGE_INTERVAL, (float(message_id(message)), float(interval_us))
+        )
+
+    @abstractmethod
+    def streaming_mode(self) -> Command:
+        """Command for the mode that follows our velocity setpoints."""
+
+    @abstractmethod
+    def is_streaming_mode(self, custom_mode: int) -> bool:
+        """Whether a heartbeat's mode word is that mode."""
+
+    @abstractmethod
+    def land(self) -> Command:
+        """Command that lands where the vehicle is."""
+
+    @abstractmethod
+    def is_landing_mode(self, custom_mode: int) -> bool:
+        """Whether a heartbeat's mode word says that it lands."""
+
+    @abstractmethod
+    def mode_name(self, custom_mode: int) -> str:
+        """A mode word for people."""
+
+
+class Px4(Autopilot):
+    """PX4: OFFBOARD needs a live stream of setpoints first; climbing by offboard velocity works.
+
+    custom_mode is sub mode << 24 | main mode << 16 (px4_custom_mode.h).
+    """
+
+    name = "px4"
+    mav_autopilot = 12  # MAV_AUTOPILOT_PX4
+    _MAIN_OFFBOARD = 6
+    _MAIN_AUTO = 4
+    _SUB_LAND = 6
+    _MAIN_NAMES = {  # noqa: RUF012 - never written to
+        1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED",
+    }  # fmt: skip
+    _AUTO_NAMES = {  # noqa: RUF012 - never written to
+        1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND",
+    }  # fmt: skip
+
+    def streaming_mode(self) -> Command:
+        """DO_SET_MODE to OFFBOARD."""
+        return Command("OFFBOARD mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, float(self._MAIN_OFFBOARD)))
+
+    def is_streaming_mode(self, custom_mode: int) -> bool:
+        """Main mode OFFBOARD."""
+        return custom_mode >> 16 & 0xFF == self._MAIN_OFFBOARD
+
+    def land(self) -> Command:
+        """NAV_LAND here, keeping the heading; PX4 answers it by switching to AUTO.LAND."""
+        return Command("land", CMD_NAV_LAND, (0.0, 0.0, 0.0, math.nan, math.nan, math.nan, 0.0))
+
+    def is_landing_mode(self, custom_mode: int) -> bool:
+        """AUTO.LAND."""
+        return custom_mode >> 16 & 0xFF == self._MAIN_AUTO and custom_mode >> 24 == self._SUB_LAND
+
+    def mode_name(self, custom_mode: int) -> str:
+        """For example OFFBOARD or AUTO.LAND."""
+        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24
+        if main == self._MAIN_AUTO:
+            return f"AUTO.{self._AUTO_NAMES.get(sub, sub)}"
+        return self._MAIN_NAMES.get(main, f"mode {custom_mode}")
+
+
+AUTOPILOTS: dict[str, Autopilot] = {autopilot.name: autopilot for autopilot in (Px4(),)}

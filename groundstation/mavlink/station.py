@@ -1,0 +1,149 @@
+"""The ground station's end of the MAVLink conversation: bytes in, bytes out, no sockets.
+
+Splits what arrives into frames, keeps the fleet's state, answers time synchronisation, repeats commands, sends its
+own heartbeat and encodes velocity setpoints. Whoever calls it says when, so that the setpoints and the heartbeat
+stop when the controller stops. Decides nothing about the mission.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, encode_batch
+from groundstation.mavlink.commands import CommandQueue
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
+
+GROUND_STATION_SYSID = 255
+GROUND_STATION_COMPID = 190  # MAV_COMP_ID_MISSIONPLANNER, what ground stations use
+_HEARTBEAT_NS = 1_000_000_000
+_TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
+_PEERS_MAX = 1000  # addresses whose streams are kept apart; a flood of new ones cannot take the memory
+
+
+class Outgoing(NamedTuple):
+    """A datagram to be sent: frames for one peer of one link."""
+
+    link: int
+    peer: str
+    frames: tuple[bytes, ...]
+
+
+class Station:
+    """One end of all links.
+
+    Args:
+        fleet: state to be kept up to date.
+        start_ns: time that goes out as "since boot", taken as zero.
+    """
+
+    def __init__(self, fleet: Fleet, start_ns: int) -> None:
+        self.fleet = fleet
+        self.commands = CommandQueue(len(fleet))
+        self.setpoints_sent = 0
+        self._start_ns = start_ns
+        self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
+        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._received: list[ReceivedFrame] = []
+        self._next_heartbeat_ns = start_ns
+
+    def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
+        """Takes one datagram (or piece of a stream); nothing is acted upon before ``ingest``.
+
+        Args:
+            link: which link it came in on.
+            peer: sender's address on that link.
+            data: as received.
+            t_rx_ns: when.
+        """
+        splitter = self._splitters.get((link, peer))
+        if splitter is None:
+            if len(self._splitters) >= _PEERS_MAX:
+                self.fleet.counts["datagram from one address too many"] += 1
+                return
+            splitter = self._splitters[link, peer] = FrameSplitter()
+        for piece in splitter.feed(data):
+            if isinstance(piece, Frame):
+                self._received.append(ReceivedFrame(piece, link, peer, t_rx_ns))
+            else:
+                self.fleet.counts["bytes that were no frame"] += len(piece)
+
+    def ingest(self) -> None:
+        """Brings the fleet's state up to all that was received."""
+        received, self._received = self._received, []
+        if received:
+            self.fleet.ingest(received)
+        for ack in self.fleet.take_acks():
+            self.commands.acknowledge(ack)
+
+    def transmit(
+        self, now_ns: int, vel_ned_m_s: FloatArray, yaw_ned_rad: FloatArray, streaming: BoolArray
+    ) -> list[Outgoing]:
+        """Encodes all that is due: setpoints, commands, answers and the heartbeat.
+
+        Args:
+            now_ns: time of this tick.
+            vel_ned_m_s: velocity setpoints, shape (n, 3), local NED axes.
+            yaw_ned_rad: yaw setpoints, shape (n,).
+            streaming: which vehicles get a setpoint, shape (n,).
+
+        Returns:
+            At most one datagram per vehicle; vehicles never heard from get nothing.
+        """
+        fleet = self.fleet
+        frames: list[list[bytes]] = [[] for _ in range(len(fleet))]
+        rows = np.flatnonzero(streaming)
+        for row, raw in zip(rows, self._setpoints(now_ns, vel_ned_m_s, yaw_ned_rad, rows), strict=True):
+            frames[row].append(raw)
+        for request in fleet.take_timesync_requests():
+            frames[request.vehicle].append(self._encoder.encode("TIMESYNC", tc1=request.t_rx_ns, ts1=request.ts1_ns))
+        for sending in self.commands.due(now_ns):
+            params = {f"param{k}": value for k, value in enumerate(sending.command.padded(), start=1)}
+            frames[sending.vehicle].append(
+                self._encoder.encode(
+                    "COMMAND_LONG",
+                    target_system=int(fleet.sysid[sending.vehicle]),
+                    target_component=AUTOPILOT_COMPID,
+                    command=sending.command.command,
+                    confirmation=sending.confirmation,
+                    **params,
+                )
+            )
+        if now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
+            for vehicle in range(len(fleet)):
+                frames[vehicle].append(self._heartbeat())
+        outgoing = []
+        for vehicle, peer in enumerate(fleet.peer):
+            if peer is not None and frames[vehicle]:
+                outgoing.append(Outgoing(int(fleet.link[vehicle]), peer, tuple(frames[vehicle])))
+        return outgoing
+
+    def _setpoints(
+        self, now_ns: int, vel_ned_m_s: FloatArray, yaw_ned_rad: FloatArray, rows: Sequence[int] | np.ndarray
+    ) -> list[bytes]:
+        if not np.isfinite(vel_ned_m_s[rows]).all() or not np.isfinite(yaw_ned_rad[rows]).all():
+            raise ValueError("a setpoint is not a finite number")
+        values = blank("SET_POSITION_TARGET_LOCAL_NED", len(rows))
+        values["time_boot_ms"] = ((now_ns - self._start_ns) // 1_000_000) & 0xFFFFFFFF
+        values["target_system"] = self.fleet.sysid[rows]
+        values["target_component"] = AUTOPILOT_COMPID
+        values["coordinate_frame"] = FRAME_LOCAL_NED
+        values["type_mask"] = MASK_VELOCITY_AND_YAW
+        values["vx"], values["vy"], values["vz"] = vel_ned_m_s[rows].T
+        values["yaw"] = yaw_ned_rad[rows]
+        self.setpoints_sent += len(rows)
+        return encode_batch("SET_POSITION_TARGET_LOCAL_NED", values, [self._encoder] * len(rows))
+
+    def _heartbeat(self) -> bytes:
+        return self._encoder.encode(
+            "HEARTBEAT",
+            type=_TYPE_GCS,
+            autopilot=_AUTOPILOT_INVALID,
+            system_status=_STATE_ACTIVE,
+            mavlink_version=_MAVLINK_VERSION,
+        )

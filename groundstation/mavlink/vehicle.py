@@ -1,0 +1,248 @@
+"""What the ground station knows of its vehicles: one struct of arrays, row i = vehicle i.
+
+Takes frames with the time of their arrival and keeps the newest value of everything, with its age. Frames of
+systems that are not on the list change nothing and are counted. Decides nothing: monitors and autopilot classes
+read this state.
+
+Times are integers in ns on the clock that the caller passes in. Unknown is NaN, ``NEVER`` or ``UNKNOWN``, not 0.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.codec import Batch, Frame, decode
+
+NEVER = np.iinfo(np.int64).min // 2
+"""Time of something that has not happened; far enough back that every age limit is passed."""
+UNKNOWN = -1
+AUTOPILOT_COMPID = 1
+_ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
+_PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
+_TYPE_GCS = 6  # MAV_TYPE_GCS
+
+LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
+
+
+class ReceivedFrame(NamedTuple):
+    """A frame, where it came from and when."""
+
+    frame: Frame
+    link: int
+    peer: str
+    t_rx_ns: int
+
+
+@dataclass(frozen=True)
+class Ack:
+    """COMMAND_ACK of one vehicle: ``result`` is a MAV_RESULT."""
+
+    vehicle: int
+    command: int
+    result: int
+    t_rx_ns: int
+
+
+@dataclass(frozen=True)
+class Text:
+    """STATUSTEXT of one vehicle: ``severity`` is a MAV_SEVERITY, 0 the worst."""
+
+    vehicle: int
+    severity: int
+    text: str
+    t_rx_ns: int
+
+
+@dataclass(frozen=True)
+class TimesyncRequest:
+    """TIMESYNC with tc1 = 0: the vehicle asks for our clock; ``ts1_ns`` is to be sent back."""
+
+    vehicle: int
+    ts1_ns: int
+    t_rx_ns: int
+
+
+class Fleet:
+    """State of n vehicles as their telemetry tells it.
+
+    Attributes:
+        sysid: MAVLink system ids, shape (n,).
+        link: index of the link each vehicle is expected on, shape (n,).
+        peer: address that each vehicle was last heard from on its link; None before.
+        heartbeat_ns: arrival of the last HEARTBEAT, shape (n,).
+        autopilot: MAV_AUTOPILOT, UNKNOWN before the first heartbeat, shape (n,).
+        custom_mode: autopilot's own mode word, UNKNOWN before, shape (n,).
+        armed: from the heartbeat, shape (n,).
+        system_status: MAV_STATE, UNKNOWN before, shape (n,).
+        pos_local_ned_m: newest valid LOCAL_POSITION_NED, in each vehicle's own origin, NaN before, shape (n, 3).
+        vel_ned_m_s: velocity of the same message, shape (n, 3).
+        pose_ns: arrival of that message, shape (n,).
+        quat_ned_from_frd: newest valid attitude, w x y z, w >= 0, NaN before, shape (n, 4).
+        attitude_ns: arrival of that attitude, shape (n,).
+        landed_state: MAV_LANDED_STATE, 0 (undefined) before, shape (n,).
+        prearm_ok: the autopilot's own arming checks pass, shape (n,).
+        status_ns: arrival of the last SYS_STATUS, shape (n,).
+        battery_remaining: 0 to 1, NaN when not reported, shape (n,).
+        counts: events that are counted rather than raised, for example ``"unknown system"``.
+    """
+
+    def __init__(self, sysids: Sequence[int], links: Sequence[int]) -> None:
+        n = len(sysids)
+        self.sysid: IntArray = np.array(sysids, dtype=np.int64)
+        self.link: IntArray = np.array(links, dtype=np.int64)
+        self.peer: list[str | None] = [None] * n
+        self.heartbeat_ns = _times(n)
+        self.autopilot = _unknowns(n)
+        self.custom_mode = _unknowns(n)
+        self.armed: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.system_status = _unknowns(n)
+        self.pos_local_ned_m: FloatArray = np.full((n, 3), np.nan)
+        self.vel_ned_m_s: FloatArray = np.full((n, 3), np.nan)
+        self.pose_ns = _times(n)
+        self.quat_ned_from_frd: FloatArray = np.full((n, 4), np.nan)
+        self.attitude_ns = _times(n)
+        self.landed_state: IntArray = np.zeros(n, dtype=np.int64)
+        self.prearm_ok: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.status_ns = _times(n)
+        self.battery_remaining: FloatArray = np.full(n, np.nan)
+        self.counts: Counter[str] = Counter()
+        self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
+        self._acks: list[Ack] = []
+        self._texts: list[Text] = []
+        self._timesync: list[TimesyncRequest] = []
+
+    def __len__(self) -> int:
+        """Number of vehicles, n."""
+        return len(self.sysid)
+
+    def ingest(self, received: Sequence[ReceivedFrame]) -> None:
+        """Takes frames in the order of their arrival.
+
+        Args:
+            received: anything that was well formed; from unknown systems, other components or the wrong link too.
+        """
+        accepted: list[ReceivedFrame] = []
+        rows: list[int] = []
+        for item in received:
+            row = self._row_of.get(item.frame.sysid)
+            if row is None:
+                self.counts["unknown system"] += 1
+            elif item.frame.compid != AUTOPILOT_COMPID:
+                self.counts["other component"] += 1
+            elif item.link != self.link[row]:
+                self.counts["wrong link"] += 1
+            else:
+                accepted.append(item)
+                rows.append(row)
+                self.peer[row] = item.peer
+        if not accepted:
+            return
+        row_of_frame = np.array(rows, dtype=np.int64)
+        time_of_frame = np.array([item.t_rx_ns for item in accepted], dtype=np.int64)
+        for batch in decode([item.frame for item in accepted]):
+            handler = _HANDLERS.get(batch.name)
+            if handler is not None:
+                handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
+
+    def take_acks(self) -> list[Ack]:
+        """Hands out the command acknowledgements since the last call."""
+        acks, self._acks = self._acks, []
+        return acks
+
+    def take_texts(self) -> list[Text]:
+        """Hands out the vehicles' own words since the last call."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def take_timesync_requests(self) -> list[TimesyncRequest]:
+        """Hands out the questions for our clock since the last call."""
+        requests, self._timesync = self._timesync, []
+        return requests
+
+    def _heartbeat(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        values = batch.values
+        vehicles = values["type"] != _TYPE_GCS  # a second ground station that took a vehicle's id is no vehicle
+        if not vehicles.all():
+            self.counts["heartbeat of a ground station under a vehicle's id"] += int((~vehicles).sum())
+            values, row, t_ns = values[vehicles], row[vehicles], t_ns[vehicles]
+        self.heartbeat_ns[row] = t_ns
+        self.autopilot[row] = values["autopilot"]
+        self.custom_mode[row] = values["custom_mode"]
+        self.armed[row] = values["base_mode"] & _ARMED_FLAG != 0
+        self.system_status[row] = values["system_status"]
+
+    def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        values = batch.values
+        position = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
+        velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1).astype(np.float64)
+        valid = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
+        if not valid.all():
+            self.counts["position that is not a number"] += int((~valid).sum())
+            position, velocity, row, t_ns = position[valid], velocity[valid], row[valid], t_ns[valid]
+        self.pos_local_ned_m[row] = position
+        self.vel_ned_m_s[row] = velocity
+        self.pose_ns[row] = t_ns
+
+    def _attitude_quaternion(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        values = batch.values
+        quat = np.stack([values["q1"], values["q2"], values["q3"], values["q4"]], axis=1).astype(np.float64)
+        norm = np.linalg.norm(quat, axis=1)
+        valid = np.isfinite(norm) & (np.abs(norm - 1.0) < 0.05)
+        if not valid.all():
+            self.counts["attitude that is no rotation"] += int((~valid).sum())
+            quat, norm, row, t_ns = quat[valid], norm[valid], row[valid], t_ns[valid]
+        quat /= norm[:, None]
+        self.quat_ned_from_frd[row] = np.where(quat[:, :1] < 0, -quat, quat)
+        self.attitude_ns[row] = t_ns
+
+    def _sys_status(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        values = batch.values
+        self.prearm_ok[row] = values["onboard_control_sensors_health"] & _PREARM_BIT != 0
+        self.battery_remaining[row] = np.where(
+            values["battery_remaining"] < 0, np.nan, values["battery_remaining"].astype(np.float64) / 100.0
+        )
+        self.status_ns[row] = t_ns
+
+    def _extended_state(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+        self.landed_state[row] = batch.values["landed_state"]
+
+    def _command_ack(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
+            self._acks.append(Ack(int(vehicle), int(values["command"]), int(values["result"]), int(t)))
+
+    def _statustext(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
+            text = bytes(values["text"]).decode("utf-8", "replace").rstrip("\t\n ")
+            self._texts.append(Text(int(vehicle), int(values["severity"]), text, int(t)))
+
+    def _timesync_message(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
+            if int(values["tc1"]) == 0:
+                self._timesync.append(TimesyncRequest(int(vehicle), int(values["ts1"]), int(t)))
+
+
+_HANDLERS = {
+    "HEARTBEAT": Fleet._heartbeat,
+    "LOCAL_POSITION_NED": Fleet._local_position,
+    "ATTITUDE_QUATERNION": Fleet._attitude_quaternion,
+    "SYS_STATUS": Fleet._sys_status,
+    "EXTENDED_SYS_STATE": Fleet._extended_state,
+    "COMMAND_ACK": Fleet._command_ack,
+    "STATUSTEXT": Fleet._statustext,
+    "TIMESYNC": Fleet._timesync_message,
+}
+
+
+def _times(n: int) -> NDArray[np.int64]:
+    return np.full(n, NEVER, dtype=np.int64)
+
+
+def _unknowns(n: int) -> NDArray[np.int64]:
+    return np.full(n, UNKNOWN, dtype=np.int64)

@@ -1,0 +1,128 @@
+"""From poses to velocity setpoints: local view, law, avoidance, back to NED, limits.
+
+Everything between the view and the limits happens in each agent's own tilted body frame, with nothing but that
+agent's own view. Keeps no state but the last setpoints, whose slope is limited.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from groundstation.core import frames
+from groundstation.core.avoidance import SafetySphere, avoid
+from groundstation.core.control import Task, formation_control, saturate
+from groundstation.core.damper import DamperParams, damp
+from groundstation.core.limits import Fence, apply_limits, fence_bounds
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.views import LocalViews, local_views
+from groundstation.mission.plan import MissionPlan
+
+_MARGIN_OF_POSITION_ERROR = 3.0  # how many standard deviations of a distance the damper keeps beside r
+_WALL_NORMALS_NED = np.vstack([-np.eye(3), np.eye(3)])
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of the team at one instant.
+
+    Attributes:
+        pos_team_ned_m: shape (n, 3); NaN where never known.
+        vel_ned_m_s: shape (n, 3).
+        quat_ned_from_frd: shape (n, 4).
+    """
+
+    pos_team_ned_m: FloatArray
+    vel_ned_m_s: FloatArray
+    quat_ned_from_frd: FloatArray
+
+
+@dataclass(frozen=True)
+class Setpoints:
+    """Setpoints of one tick.
+
+    Attributes:
+        vel_ned_m_s: within all limits, shape (n, 3).
+        blocked: the agent wanted to move and found no free direction, shape (n,).
+    """
+
+    vel_ned_m_s: FloatArray
+    blocked: BoolArray
+
+
+class Guide:
+    """Guidance of one team.
+
+    Args:
+        plan: gains, radii, limits.
+    """
+
+    def __init__(self, plan: MissionPlan) -> None:
+        spec, profile = plan.spec, plan.profile
+        self._period_s = 1.0 / spec.rate_hz
+        self._plan = plan
+        self._region = SafetySphere(spec.avoidance.radius_m, spec.avoidance.activation_m)
+        self._damper = DamperParams(
+            radius_m=spec.avoidance.radius_m,
+            margin_m=_MARGIN_OF_POSITION_ERROR * np.sqrt(2.0) * profile.position_error_m,
+            lag_s=profile.lag_s,
+            delay_s=profile.delay_s,
+            tick_s=self._period_s,
+            speed_limit_m_s=spec.speed_limit_m_s,
+            accel_limit_m_s2=profile.acceleration_max_m_s2,
+        )
+        # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.
+        closing_m = 2.0 * spec.speed_limit_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
+        self._reach_m = max(spec.avoidance.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
+        # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
+        self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
+        self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
+        floor_enu = np.array([*spec.fence.min_m[:2], max(plan.min_altitude_m, spec.fence.min_m[2])])
+        self._formation_box = Fence.from_enu(floor_enu, np.array(spec.fence.max_m))
+        self._previous_ned_m_s: FloatArray = np.zeros((plan.size, 3))
+
+    def rest(self) -> None:
+        """Forgets the last setpoints: everybody was told to stand still."""
+        self._previous_ned_m_s = np.zeros((self._plan.size, 3))
+
+    def formation(self, poses: Poses, task: Task, control_gain: float) -> Setpoints:
+        """One tick of (14) with avoidance, above the floor of formation flight."""
+        views = self._views(poses, task.neighbours)
+        wish = formation_control(views, task, self._plan.scale, control_gain)
+        return self._finish(poses, views, wish, self._formation_box)
+
+    def to_targets(self, poses: Poses, target_team_ned_m: FloatArray) -> Setpoints:
+        """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground."""
+        views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
+        offset_ned = target_team_ned_m - poses.pos_team_ned_m
+        wish = self._approach_rate_1_s * frames.rotate_back(
+            frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned
+        )
+        return self._finish(poses, views, wish, self._fence)
+
+    def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
+        """What each agent sees: its neighbours, and whoever is near enough to hit."""
+        away = poses.pos_team_ned_m[:, None] - poses.pos_team_ned_m[None, :]
+        near = np.einsum("ijk,ijk->ij", away, away) < self._reach_m**2
+        return local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+
+    def _finish(self, poses: Poses, views: LocalViews, wish_flu_m_s: FloatArray, box: Fence) -> Setpoints:
+        speed_max = self._plan.spec.speed_limit_m_s
+        rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        avoided = avoid(views, saturate(wish_flu_m_s, speed_max), self._region)
+        low, high = fence_bounds(poses.pos_team_ned_m, box, self._approach_rate_1_s)
+        walls_flu = frames.rotate_back(rot_ned_from_flu[:, None], _WALL_NORMALS_NED)
+        damped = damp(views, avoided.vel_flu_m_s, self._damper, walls_flu, np.concatenate([low, high], axis=1))
+        vel_ned_m_s = apply_limits(
+            frames.rotate(rot_ned_from_flu, damped.vel_flu_m_s),
+            self._previous_ned_m_s,
+            poses.pos_team_ned_m,
+            speed_max_m_s=speed_max,
+            accel_max_m_s2=self._plan.acceleration_limit_m_s2,
+            period_s=self._period_s,
+            fence=box,
+            fence_rate_1_s=self._approach_rate_1_s,
+        )
+        self._previous_ned_m_s = vel_ned_m_s
+        return Setpoints(vel_ned_m_s, avoided.blocked)

@@ -1,0 +1,282 @@
+"""A mission file with all that belongs to it: formation, gains, vehicles, judged together before anything flies.
+
+Positions in the file are ENU in one team frame; the plan keeps them so, and the runner turns them to NED once.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from groundstation.core.control import ScaleFunction, auto_control_gain
+from groundstation.core.errors import UserError
+from groundstation.core.files import read_yaml, validate
+from groundstation.core.formation import Formation, Gains
+from groundstation.core.types import FloatArray
+from groundstation.design.store import (
+    FormationFile,
+    check_gains,
+    load_formation,
+    load_gains,
+    save_gains,
+    to_formation,
+)
+from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
+from groundstation.mission.profiles import PROFILES, VehicleProfile, slowest
+from groundstation.mission.schema import MissionSpec
+
+_LINK_KINDS = ("udpin://",)
+
+
+@dataclass(frozen=True)
+class MissionPlan:
+    """A mission that has passed every check that needs no vehicle.
+
+    Attributes:
+        spec: the file's own values.
+        source: the file's name, for messages.
+        formation: points and sensing graph, ENU.
+        gains: checked against the formation.
+        gains_npz: the gains file that they came from, for the record.
+        profile: the slowest vehicle's figures.
+        control_gain: k that multiplies (14).
+        scale: f of (14).
+        links: link addresses, each once.
+        link_of_vehicle: index into ``links`` per vehicle.
+        autopilots: one per vehicle.
+        pads_enu_m: shape (n, 3), team frame.
+        min_altitude_m: nobody who flies the formation goes below, above the team frame's ground.
+        acceleration_limit_m_s2: how fast commanded velocities may change.
+    """
+
+    spec: MissionSpec
+    source: str
+    formation: Formation
+    gains: Gains
+    gains_npz: bytes
+    profile: VehicleProfile
+    control_gain: float
+    scale: ScaleFunction
+    links: tuple[str, ...]
+    link_of_vehicle: tuple[int, ...]
+    autopilots: tuple[Autopilot, ...]
+    pads_enu_m: FloatArray
+    min_altitude_m: float
+    acceleration_limit_m_s2: float
+
+    @property
+    def size(self) -> int:
+        """Number of vehicles, n."""
+        return len(self.spec.vehicles)
+
+    def record(self) -> dict[str, Any]:
+        """The mission with everything resolved, as plain values, for the manifest beside the log."""
+        return {
+            **self.spec.model_dump(mode="json", exclude={"formation", "gains"}, exclude_none=True),
+            "formation": {
+                "name": self.formation.name,
+                "scale": 1.0,
+                "points": self.formation.points_enu_m.tolist(),
+                "edges": [[i + 1, j + 1] for i, j in self.formation.edges],
+            },
+        }
+
+
+def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
+    """Reads a mission file, its formation and its gains; designs the gains where the file names none.
+
+    Args:
+        path: mission file.
+        overrides: ``key.path=value``, the value in YAML, list items by number from 0.
+
+    Raises:
+        UserError: anything wrong, with file, key, value, limit and remedy.
+    """
+    values = read_yaml(path)
+    for override in overrides:
+        _override(values, override)
+    spec = validate(MissionSpec, values, str(path))
+    formation = load_formation(_relative(path, spec.formation, "formation"))
+    if spec.gains is not None:
+        gains_path = _relative(path, spec.gains, "gains")
+        stored = load_gains(gains_path)
+        check_gains(stored, formation)
+        return build_plan(spec, formation, stored.gains, gains_path.read_bytes(), str(path))
+    from groundstation.design.designer import design  # noqa: PLC0415 - loads solvers that most missions do without
+
+    result = design(formation)
+    if result.gains is None or result.certificate is None:
+        raise UserError(f"{path}: formation: {spec.formation}: no gains exist: {result.reason}")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "gains.npz"
+        save_gains(file, formation, result.gains, result.certificate, result.method)
+        return build_plan(spec, formation, result.gains, file.read_bytes(), str(path))
+
+
+def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) -> MissionPlan:
+    """Puts a plan together from what ``MissionPlan.record`` gave and the gains file's bytes.
+
+    Raises:
+        UserError: the record is not one of ours, or what it holds does not fit together.
+    """
+    values = dict(mission)
+    shape = values.pop("formation", None)
+    if not isinstance(shape, Mapping):
+        raise UserError(f"{source}: mission.formation: is missing, the manifest is not one of a mission")
+    formation = to_formation(validate(FormationFile, dict(shape), f"{source}: mission.formation"))
+    spec = validate(MissionSpec, {**values, "formation": formation.name, "gains": None}, f"{source}: mission")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "gains.npz"
+        file.write_bytes(gains_npz)
+        stored = load_gains(file)
+        check_gains(stored, formation)
+    return build_plan(spec, formation, stored.gains, gains_npz, source)
+
+
+def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz: bytes, source: str) -> MissionPlan:
+    """Puts a plan together from values that are valid each for itself, and judges them together.
+
+    Raises:
+        UserError: they do not fit each other.
+    """
+    pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
+    _check_vehicles(spec, formation, source)
+    _check_room(spec, formation, pads, source)
+    links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
+    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
+    lambda_max = float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
+    automatic = auto_control_gain(lambda_max, profile.lag_s, profile.delay_s)
+    floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
+    return MissionPlan(
+        spec=spec,
+        source=source,
+        formation=formation,
+        gains=gains,
+        gains_npz=gains_npz,
+        profile=profile,
+        control_gain=automatic if spec.gain == "auto" else spec.gain,
+        scale=ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain),
+        links=links,
+        link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
+        autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),
+        pads_enu_m=pads,
+        min_altitude_m=floor,
+        acceleration_limit_m_s2=spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2,
+    )
+
+
+def _override(values: dict[str, Any], override: str) -> None:
+    path, separator, text = override.partition("=")
+    if not separator or not path:
+        raise UserError(f"--set {override}: expected key.path=value, for example speed_limit_m_s=0.3")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise UserError(f"--set {override}: the value is not valid YAML") from None
+    *parents, last = path.split(".")
+    place: Any = values
+    for number, key in enumerate([*parents, last]):
+        where = ".".join([*parents, last][: number + 1])
+        step: str | int = key
+        if isinstance(place, list):
+            if not key.isdigit() or int(key) >= len(place):
+                raise UserError(f"--set {override}: {where}: expected a number from 0 to {len(place) - 1}")
+            step = int(key)
+        elif not isinstance(place, dict):
+            raise UserError(f"--set {override}: {where}: there are no keys below a single value")
+        if number == len(parents):
+            place[step] = value
+        elif isinstance(place, dict):
+            place = place.setdefault(step, {})
+        else:
+            place = place[int(step)]
+
+
+def _relative(mission: Path, name: str, key: str) -> Path:
+    path = Path(name)
+    if not path.is_absolute():
+        path = mission.parent / path
+    if not path.is_file():
+        raise UserError(f"{mission}: {key}: {name}: no such file (looked for {path}); correct the path")
+    return path
+
+
+def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> None:
+    vehicles = spec.vehicles
+    if len(vehicles) != formation.size:
+        raise UserError(
+            f"{source}: vehicles: {len(vehicles)} listed, formation {formation.name} has {formation.size} points;"
+            " list one vehicle for each point"
+        )
+    first_with: dict[int, int] = {}
+    for number, vehicle in enumerate(vehicles):
+        key = f"{source}: vehicles[{number}]"
+        if vehicle.id in first_with:
+            raise UserError(
+                f"{key}.id: {vehicle.id} is the id of vehicles[{first_with[vehicle.id]}] too; give each its own"
+            )
+        first_with[vehicle.id] = number
+        if vehicle.autopilot not in AUTOPILOTS:
+            raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
+        if vehicle.profile not in PROFILES:
+            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(PROFILES)}")
+        if not vehicle.link.startswith(_LINK_KINDS):
+            raise UserError(f"{key}.link: {vehicle.link}: expected udpin://HOST:PORT")
+
+
+def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, source: str) -> None:
+    radius = spec.avoidance.radius_m
+    if spec.avoidance.activation_m < radius:
+        raise UserError(
+            f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
+            f" {radius} m; make it as large at least"
+        )
+    for i, j in itertools.combinations(range(formation.size), 2):
+        distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
+        if distance <= radius:
+            raise UserError(
+                f"{source}: formation.points[{j}]: {distance:.3g} m from points[{i}], minimum is more than"
+                f" {radius:g} m (avoidance.radius_m); scale the formation up or lower the radius"
+            )
+        distance = float(np.linalg.norm(pads[i] - pads[j]))
+        if distance < radius:
+            raise UserError(
+                f"{source}: vehicles[{j}].pad_m: {distance:.3g} m from the pad of vehicles[{i}], minimum is"
+                f" {radius:g} m (avoidance.radius_m); move the pads apart or lower the radius"
+            )
+    low, high = np.array(spec.fence.min_m), np.array(spec.fence.max_m)
+    for axis, letter in enumerate("xyz"):
+        if low[axis] >= high[axis]:
+            raise UserError(
+                f"{source}: fence.min_m[{axis}]: {low[axis]:g} m is not below fence.max_m[{axis}] {high[axis]:g} m"
+            )
+        extent = float(np.ptp(formation.points_enu_m[:, axis])) if axis == 2 else _widest(formation)
+        room = float(high[axis] - (max(low[axis], _floor(spec)) if axis == 2 else low[axis]))
+        if extent > room:
+            raise UserError(
+                f"{source}: fence: {room:.3g} m of room along {letter}, formation {formation.name} needs"
+                f" {extent:.3g} m; enlarge the fence or scale the formation down"
+            )
+    for number, pad in enumerate(pads):
+        over = pad + np.array([0.0, 0.0, spec.takeoff.height_m])
+        if np.any(pad < low) or np.any(over > high):
+            raise UserError(
+                f"{source}: vehicles[{number}].pad_m: {pad.tolist()} with the takeoff height of"
+                f" {spec.takeoff.height_m:g} m is not inside the fence {low.tolist()} to {high.tolist()}"
+            )
+
+
+def _floor(spec: MissionSpec) -> float:
+    return spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
+
+
+def _widest(formation: Formation) -> float:
+    horizontal = formation.points_enu_m[:, :2]
+    return float(np.linalg.norm(horizontal[:, None] - horizontal[None, :], axis=-1).max())

@@ -1,0 +1,51 @@
+"""What a kind of vehicle can do, as far as the control law has to know it.
+
+The figures are step responses seen on real firmware; they set the control gain and the avoidance. A mission may
+name another profile for each of its vehicles, and the slowest one counts for the team.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class VehicleProfile:
+    """How a vehicle follows a velocity setpoint.
+
+    Attributes:
+        name: as missions call it.
+        lag_s: time constant tau of its velocity loop (t63 less the delay).
+        delay_s: from the telemetry's instant to the setpoint taking effect.
+        acceleration_max_m_s2: what it reaches horizontally while holding height.
+        position_error_m: standard deviation of its position estimate against the others', one axis.
+    """
+
+    name: str
+    lag_s: float
+    delay_s: float
+    acceleration_max_m_s2: float
+    position_error_m: float
+
+
+PROFILES: dict[str, VehicleProfile] = {
+    profile.name: profile
+    for profile in (
+        VehicleProfile("crazyflie", lag_s=0.2, delay_s=0.05, acceleration_max_m_s2=4.0, position_error_m=0.01),
+        VehicleProfile("px4_quad", lag_s=1.0, delay_s=0.1, acceleration_max_m_s2=3.0, position_error_m=0.02),
+        VehicleProfile("arducopter", lag_s=0.9, delay_s=0.1, acceleration_max_m_s2=2.5, position_error_m=0.02),
+    )
+}
+
+
+def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
+    """The profile that every vehicle of a mixed team can keep: the worst of each figure."""
+    items = list(profiles)
+    return VehicleProfile(
+        name="+".join(sorted({item.name for item in items})),
+        lag_s=max(item.lag_s for item in items),
+        delay_s=max(item.delay_s for item in items),
+        acceleration_max_m_s2=min(item.acceleration_max_m_s2 for item in items),
+        position_error_m=max(item.position_error_m for item in items),
+    )

@@ -1,0 +1,560 @@
+"""Flies one mission: bytes and times in, bytes out.
+
+Flight, dry run, replay and tests all run this object. It reads no clock, sleeps never and draws nothing at random;
+``step`` is called on a fixed tick with the time, and all that it does follows from what it was given before.
+
+The team goes through the phases of ``Phase`` together. Whatever goes wrong in the air ends in RETURN and LAND; before
+arming it ends at once, with nothing armed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from groundstation.core import frames
+from groundstation.core.assignment import assign_roles
+from groundstation.core.control import Task, task_for_roles
+from groundstation.core.metrics import formation_error_m, min_distance_m, vertical_orientation
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.station import Outgoing, Station
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
+from groundstation.mission.guidance import Guide, Poses
+from groundstation.mission.monitor import Monitor, ground_problems
+from groundstation.mission.plan import MissionPlan
+from groundstation.mission.schema import FormStep, HoldStep
+
+_SECOND_NS = 1_000_000_000
+_STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
+_ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
+_STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
+_STOP_NS = _SECOND_NS  # standing still between an abort and the way back
+_LANDED_STILL_ARMED_NS = 5 * _SECOND_NS
+_TAKEOFF_TOLERANCE_M = 0.1
+_PAD_TOLERANCE_M = 0.15
+
+
+class Phase(Enum):
+    """What the team is doing."""
+
+    CONNECT = "connect"
+    ARM = "arm"
+    TAKEOFF = "takeoff"
+    FORM = "form"
+    HOLD = "hold"
+    STOP = "stop"
+    RETURN = "return"
+    LAND = "land"
+    SILENT = "silent"
+    DONE = "done"
+
+
+AIRBORNE_PHASES = frozenset({Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.STOP, Phase.RETURN, Phase.LAND})
+FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD})
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something that happened, for the log and for people: ``kind`` is phase, alarm, info or roles."""
+
+    kind: str
+    text: str
+    roles: tuple[int, ...] = ()
+
+
+@dataclass
+class Figures:
+    """What the mission came to, from what the vehicles reported.
+
+    Attributes:
+        converged: every form step was reached.
+        time_to_form_s: from the start of the first form step until the formation stood, NaN before.
+        formation_error_m: largest |d_ij - d*_ij| over all pairs and over the hold, NaN before.
+        min_distance_m: smallest reported distance between two vehicles in the air.
+        gridlocks: times an agent stood without a free direction for more than a second.
+        role_swaps: changes of the role map after the first assignment.
+        flight_time_s: from takeoff to the end, NaN before takeoff.
+        ticks: calls of ``step``.
+        deadline_misses: ticks that came more than a whole period late.
+    """
+
+    converged: bool = False
+    time_to_form_s: float = np.nan
+    formation_error_m: float = np.nan
+    min_distance_m: float = np.inf
+    gridlocks: int = 0
+    role_swaps: int = 0
+    flight_time_s: float = np.nan
+    ticks: int = 0
+    deadline_misses: int = 0
+
+
+class Runner:
+    """One mission under way.
+
+    Args:
+        plan: what to fly.
+        start_ns: time at which it begins, on the clock of all other times.
+        check_only: stop after the preflight checks, arm nothing.
+
+    Attributes:
+        phase: what the team is doing.
+        outcome: None until done; then completed, aborted or refused.
+        reason: why it was aborted or refused, "" otherwise.
+        figures: see ``Figures``.
+        fleet: state of the vehicles.
+        role_of_agent: role per vehicle, shape (n,).
+    """
+
+    def __init__(self, plan: MissionPlan, start_ns: int, *, check_only: bool = False) -> None:
+        n = plan.size
+        self.plan = plan
+        self.phase = Phase.CONNECT
+        self.outcome: str | None = None
+        self.reason = ""
+        self.figures = Figures()
+        self.fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
+        self.role_of_agent: IntArray = np.arange(n)
+        self.problems: list[str] = []
+        self._station = Station(self.fleet, start_ns)
+        self._guide = Guide(plan)
+        self._monitor = Monitor(plan)
+        self._check_only = check_only
+        self._period_ns = round(_SECOND_NS / plan.spec.rate_hz)
+        self._start_ns = start_ns
+        self._phase_ns = start_ns
+        self._takeoff_ns = NEVER
+        self._last_step_ns = NEVER
+        self._steady_since_ns = NEVER
+        self._step_index = -1
+        self._task: Task | None = None
+        self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
+        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._rates_asked = np.zeros(n, dtype=np.bool_)
+        self._land_asked: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._released: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._yaw_ned_rad: FloatArray = np.zeros(n)
+        self._refusals: dict[int, str] = {}
+        self._abort_requested = False
+        pads_ned = frames.ned_from_enu(plan.pads_enu_m)
+        self._origin_ned_m = np.where(
+            np.array([vehicle.origin == "pad" for vehicle in plan.spec.vehicles])[:, None], pads_ned, 0.0
+        )
+        self._pads_ned_m: FloatArray = pads_ned
+        self._gather_ned_m: FloatArray = pads_ned.copy()
+
+    # What comes in
+
+    def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
+        """Takes a datagram; see ``Station.receive``."""
+        self._station.receive(link, peer, data, t_rx_ns)
+
+    def operator(self, command: str) -> None:
+        """Takes a command of the operator; it is acted upon in the next step.
+
+        Args:
+            command: ``return`` (everyone stops, flies back and lands) or ``silence`` (setpoints stop; the autopilots'
+                own failsafe acts).
+
+        Raises:
+            ValueError: another command.
+        """
+        if command == "return":
+            self._abort_requested = True
+        elif command == "silence":
+            self._note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
+            self._abort("stopped by the operator, setpoints ended")
+            if self.phase is not Phase.DONE:
+                self._enter(Phase.SILENT, self._last_step_ns)
+        else:
+            raise ValueError(f"operator command {command!r} is none of return, silence")
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.phase is Phase.DONE
+
+    @property
+    def setpoints_sent(self) -> int:
+        """Number of velocity setpoints sent so far."""
+        return self._station.setpoints_sent
+
+    @property
+    def airborne(self) -> BoolArray:
+        """Vehicles that are armed and do not report to stand on the ground, shape (n,)."""
+        airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)
+        return airborne
+
+    def take_notes(self) -> list[Note]:
+        """Hands out what happened since the last call."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    # The tick
+
+    def step(self, now_ns: int) -> list[Outgoing]:
+        """Acts on all that was received: one tick.
+
+        Args:
+            now_ns: time of this tick, later than that of the tick before.
+
+        Returns:
+            Datagrams to be sent.
+        """
+        if self._last_step_ns != NEVER and now_ns - self._last_step_ns >= 2 * self._period_ns:
+            self.figures.deadline_misses += 1
+        self._last_step_ns = now_ns
+        self.figures.ticks += 1
+        self._station.ingest()
+        self._listen()
+        n = self.plan.size
+        velocity: FloatArray = np.zeros((n, 3))
+        poses = self._poses(now_ns)
+        if self._abort_requested:
+            self._abort_requested = False
+            self._give_up("stopped by the operator", now_ns)
+        if self._takeoff_ns != NEVER:
+            self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
+        if self.phase in AIRBORNE_PHASES:
+            self._watch(now_ns)
+            self._measure(poses)
+        if self.phase is Phase.CONNECT:
+            self._connect(now_ns)
+        elif self.phase is Phase.ARM:
+            self._arm(now_ns, poses)
+        elif self.phase is Phase.TAKEOFF:
+            velocity = self._takeoff(now_ns, poses)
+        elif self.phase in FORMATION_PHASES:
+            velocity = self._formation(now_ns, poses)
+        elif self.phase is Phase.STOP:
+            self._guide.rest()
+            if now_ns - self._phase_ns >= _STOP_NS:
+                self._enter(Phase.RETURN, now_ns)
+        elif self.phase is Phase.RETURN:
+            velocity = self._return(now_ns, poses)
+        elif self.phase is Phase.LAND:
+            velocity = self._land(now_ns, poses)
+        elif self.phase is Phase.SILENT:
+            self._silent()
+        streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
+        velocity = np.where((self._monitor.hold | self._land_asked | self._released)[:, None], 0.0, velocity)
+        return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
+
+    # Phases
+
+    def _connect(self, now_ns: int) -> None:
+        fleet, plan = self.fleet, self.plan
+        for vehicle in np.flatnonzero((fleet.heartbeat_ns != NEVER) & ~self._rates_asked):
+            autopilot = plan.autopilots[vehicle]
+            for message, rate_hz in (
+                ("LOCAL_POSITION_NED", plan.spec.rate_hz),
+                ("ATTITUDE_QUATERNION", plan.spec.rate_hz),
+                ("EXTENDED_SYS_STATE", 5.0),
+                ("SYS_STATUS", 2.0),
+            ):
+                self._station.commands.request(int(vehicle), autopilot.message_interval(message, rate_hz))
+            self._rates_asked[vehicle] = True
+        waiting = [int(vehicle) for vehicle in range(plan.size) if self._station.commands.pending(int(vehicle))]
+        self.problems, fatal = ground_problems(plan, fleet, now_ns, waiting, self._refusals)
+        if fatal:
+            self._refuse(fatal, now_ns)
+        elif self.problems:
+            self._steady_since_ns = NEVER
+            if now_ns - self._start_ns >= plan.spec.limits.preflight_s * _SECOND_NS:
+                self._refuse(self.problems, now_ns)
+        elif self._steady(now_ns):
+            if self._check_only:
+                self.outcome = "completed"
+                self._enter(Phase.DONE, now_ns)
+            else:
+                self._yaw_ned_rad = frames.yaw_ned_from_quat(fleet.quat_ned_from_frd)
+                self._refusals.clear()
+                self._enter(Phase.ARM, now_ns)
+
+    def _arm(self, now_ns: int, poses: Poses) -> None:
+        fleet = self.fleet
+        if now_ns - self._phase_ns < _STREAM_FIRST_NS:
+            return
+        in_mode = np.array(
+            [a.is_streaming_mode(int(mode)) for a, mode in zip(self.plan.autopilots, fleet.custom_mode, strict=True)]
+        )
+        ready = in_mode & fleet.armed
+        if ready.all():
+            self._assign(poses)
+            self._takeoff_ns = now_ns
+            self._enter(Phase.TAKEOFF, now_ns)
+            return
+        if now_ns - self._phase_ns >= self.plan.spec.limits.arming_s * _SECOND_NS:
+            reasons = []
+            for vehicle in np.flatnonzero(~ready):
+                mode = self.plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
+                said = self._refusals.get(int(vehicle), "the autopilot gave no reason")
+                reasons.append(
+                    f"vehicle {fleet.sysid[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
+                    f" after {self.plan.spec.limits.arming_s:g} s: {said}"
+                )
+            self._give_up("; ".join(reasons), now_ns)
+            return
+        # All switch to the mode first: PX4 disarms what stands armed for ten seconds, so nobody arms early.
+        everyone_in_mode = bool(in_mode.all())
+        for vehicle in np.flatnonzero(~ready & (now_ns - self._asked_ns >= _ASK_AGAIN_NS)):
+            if self._station.commands.pending(int(vehicle)):
+                continue
+            autopilot = self.plan.autopilots[vehicle]
+            if not in_mode[vehicle]:
+                self._station.commands.request(int(vehicle), autopilot.streaming_mode())
+            elif everyone_in_mode:
+                self._station.commands.request(int(vehicle), autopilot.arm())
+            else:
+                continue
+            self._asked_ns[vehicle] = now_ns
+
+    def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
+        offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
+        if bool((offset < _TAKEOFF_TOLERANCE_M).all()):
+            if self._steady(now_ns):
+                self._next_step(now_ns, poses)
+        else:
+            self._steady_since_ns = NEVER
+            if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
+                late = ", ".join(
+                    f"vehicle {self.fleet.sysid[i]} is {offset[i]:.2f} m from its place"
+                    for i in np.argsort(-offset)[:3]
+                )
+                self._give_up(f"takeoff not finished after {self.plan.spec.takeoff.timeout_s:g} s: {late}", now_ns)
+        return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
+
+    def _formation(self, now_ns: int, poses: Poses) -> FloatArray:
+        step = self.plan.spec.steps[self._step_index]
+        formation = self.plan.formation
+        error = formation_error_m(poses.pos_team_ned_m, formation.distances_m, self.role_of_agent)
+        if step.form is not None:
+            heights = formation.points_enu_m[:, 2]
+            upright = vertical_orientation(-poses.pos_team_ned_m[:, 2], heights, self.role_of_agent) >= 0.0
+            self._forming(step.form, error if upright else np.inf, now_ns, poses)
+        elif step.hold is not None:
+            self._holding(step.hold, error, now_ns, poses)
+        guidance = self._guide.formation(poses, self._given_task(), self.plan.control_gain)
+        self._count_gridlocks(guidance.blocked, now_ns)
+        return guidance.vel_ned_m_s
+
+    def _forming(self, step: FormStep, error_m: float, now_ns: int, poses: Poses) -> None:
+        if error_m <= step.tolerance_m:
+            if self._steady(now_ns):
+                if np.isnan(self.figures.time_to_form_s):
+                    self.figures.time_to_form_s = (self._steady_since_ns - self._phase_ns) / _SECOND_NS
+                self._next_step(now_ns, poses)
+            return
+        self._steady_since_ns = NEVER
+        if now_ns - self._phase_ns >= step.timeout_s * _SECOND_NS:
+            self._give_up(
+                f"not formed after {step.timeout_s:g} s: a distance is {error_m:.3f} m off,"
+                f" tolerance is {step.tolerance_m:g} m",
+                now_ns,
+            )
+
+    def _holding(self, step: HoldStep, error_m: float, now_ns: int, poses: Poses) -> None:
+        self.figures.formation_error_m = float(np.fmax(self.figures.formation_error_m, error_m))
+        if now_ns - self._phase_ns >= step.seconds * _SECOND_NS:
+            self._next_step(now_ns, poses)
+
+    def _return(self, now_ns: int, poses: Poses) -> FloatArray:
+        offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
+        there = (offset < _PAD_TOLERANCE_M) | ~self.fleet.armed | self._released | self._land_asked
+        late = now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS
+        if bool(there.all()):
+            if self._steady(now_ns):
+                self._enter(Phase.LAND, now_ns)
+        else:
+            self._steady_since_ns = NEVER
+            if late:
+                self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
+                self._enter(Phase.LAND, now_ns)
+        guidance = self._guide.to_targets(poses, self._gather_ned_m)
+        self._count_gridlocks(guidance.blocked, now_ns)
+        return guidance.vel_ned_m_s
+
+    def _land(self, now_ns: int, poses: Poses) -> FloatArray:
+        fleet = self.fleet
+        on_ground = fleet.landed_state == LANDED_ON_GROUND
+        self._on_ground_since_ns = np.where(
+            on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
+        )
+        if not fleet.armed[~self._released].any():
+            self._finish(now_ns)
+            return np.zeros((self.plan.size, 3))
+        for vehicle in np.flatnonzero(fleet.armed & ~self._released):
+            if self._station.commands.pending(int(vehicle)) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
+                continue
+            autopilot = self.plan.autopilots[vehicle]
+            if on_ground[vehicle]:
+                if self._land_asked[vehicle] and now_ns - self._on_ground_since_ns[vehicle] >= _LANDED_STILL_ARMED_NS:
+                    self._station.commands.request(int(vehicle), autopilot.disarm())
+                    self._asked_ns[vehicle] = now_ns
+            elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])) and self._clear_below(
+                int(vehicle), poses
+            ):
+                self._ask_to_land(int(vehicle), now_ns)
+        guidance = self._guide.to_targets(poses, self._gather_ned_m)
+        return guidance.vel_ned_m_s
+
+    def _silent(self) -> None:
+        if not self.fleet.armed.any():
+            self._finish(self._last_step_ns)
+
+    # What the phases share
+
+    def _next_step(self, now_ns: int, poses: Poses) -> None:
+        self._step_index += 1
+        if self._step_index >= len(self.plan.spec.steps):
+            self._enter(Phase.RETURN, now_ns)
+            return
+        step = self.plan.spec.steps[self._step_index]
+        if step.form is not None:
+            self._enter(Phase.FORM, now_ns)
+        else:
+            self.figures.converged = True
+            self._enter(Phase.HOLD, now_ns)
+
+    def _assign(self, poses: Poses) -> None:
+        """Gives every vehicle its role, and its place in the air above its pad."""
+        plan = self.plan
+        if plan.spec.assignment == "auto":
+            assignment = assign_roles(frames.enu_from_ned(poses.pos_team_ned_m), plan.formation)
+            roles = assignment.role_of_agent
+        else:
+            roles = np.arange(plan.size)
+        self.role_of_agent = roles
+        self._task = task_for_roles(plan.formation, plan.gains, roles)
+        self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))
+        # From a start at one height the law would leave to chance whether the formation stands upright or on its
+        # head, since all distances are the same: whoever ends higher starts a little higher.
+        height = self._height_of_agent()
+        spread = float(np.ptp(height))
+        share = (height - height.mean()) / spread if spread > 1e-9 else np.zeros(plan.size)
+        self._gather_ned_m = self._pads_ned_m.copy()
+        self._gather_ned_m[:, 2] -= plan.spec.takeoff.height_m + plan.spec.takeoff.stagger_m * share
+
+    def _given_task(self) -> Task:
+        if self._task is None:
+            raise RuntimeError("formation flight without roles")
+        return self._task
+
+    def _height_of_agent(self) -> FloatArray:
+        heights: FloatArray = self.plan.formation.points_enu_m[self.role_of_agent, 2]
+        return heights
+
+    def _ask_to_land(self, vehicle: int, now_ns: int) -> None:
+        self._station.commands.request(vehicle, self.plan.autopilots[vehicle].land())
+        self._land_asked[vehicle] = True
+        self._asked_ns[vehicle] = now_ns
+
+    def _clear_below(self, vehicle: int, poses: Poses) -> bool:
+        """Whether nobody else stands or hovers where this vehicle would come down."""
+        away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
+        beside = np.hypot(away[:, 0], away[:, 1]) >= self.plan.spec.avoidance.radius_m
+        above = away[:, 2] < -self.plan.spec.avoidance.radius_m
+        beside[vehicle] = True
+        return bool((beside | above).all())
+
+    def _watch(self, now_ns: int) -> None:
+        """Acts on what the monitors find in the air."""
+        findings = self._monitor.look(self.fleet, now_ns, self._land_asked)
+        for text in findings.alarms:
+            self._note("alarm", text)
+        for vehicle in findings.release:
+            self._released[vehicle] = True
+            self._station.commands.clear(vehicle)
+        for vehicle in findings.land:
+            if not self._land_asked[vehicle] and not self._released[vehicle]:
+                self._station.commands.clear(vehicle)
+                self._ask_to_land(vehicle, now_ns)
+        if findings.abort and self.outcome is None:
+            self._give_up(findings.abort, now_ns)
+
+    def _give_up(self, reason: str, now_ns: int) -> None:
+        """Ends the mission early: on the ground at once, in the air by way of the pads."""
+        self._abort(reason)
+        if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
+            return
+        if self.phase is Phase.CONNECT:
+            self._enter(Phase.DONE, now_ns)
+        elif self.phase is Phase.ARM:
+            for vehicle in range(self.plan.size):
+                self._station.commands.clear(vehicle)
+                if self.fleet.armed[vehicle]:
+                    self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
+            self._enter(Phase.LAND, now_ns)
+        else:
+            self._enter(Phase.STOP, now_ns)
+
+    def _abort(self, reason: str) -> None:
+        if self.outcome is None:
+            self.outcome = "aborted"
+            self.reason = reason
+            self._note("alarm", f"aborted: {reason}")
+
+    def _refuse(self, reasons: list[str], now_ns: int) -> None:
+        self.outcome = "refused"
+        self.reason = "; ".join(reasons)
+        self.problems = reasons
+        self._enter(Phase.DONE, now_ns)
+
+    def _finish(self, now_ns: int) -> None:
+        if self.outcome is None:
+            self.outcome = "completed"
+        self._enter(Phase.DONE, now_ns)
+
+    def _enter(self, phase: Phase, now_ns: int) -> None:
+        self.phase = phase
+        self._phase_ns = now_ns
+        self._steady_since_ns = NEVER
+        self._note("phase", phase.value)
+
+    def _note(self, kind: str, text: str, roles: tuple[int, ...] = ()) -> None:
+        self._notes.append(Note(kind, text, roles))
+
+    def _steady(self, now_ns: int) -> bool:
+        """Whether the condition that the caller found true has been true for a while, without a break."""
+        if self._steady_since_ns == NEVER:
+            self._steady_since_ns = now_ns
+        return now_ns - self._steady_since_ns >= _STEADY_NS
+
+    def _listen(self) -> None:
+        """Takes the vehicles' words and answers."""
+        for outcome in self._station.commands.take_outcomes():
+            if not outcome.accepted:
+                self._refusals[outcome.vehicle] = outcome.words()
+                self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
+        for text in self.fleet.take_texts():
+            sysid = self.fleet.sysid[text.vehicle]
+            self._note("info", f"vehicle {sysid} says: {text.text}")
+            if text.severity <= 4:
+                said = self._refusals.get(text.vehicle)
+                self._refusals[text.vehicle] = f"{said}, it says: {text.text}" if said else f"it says: {text.text}"
+
+    def _poses(self, now_ns: int) -> Poses:
+        """Brings every pose to this tick's instant with the velocity that came with it."""
+        fleet = self.fleet
+        age_s = np.clip((now_ns - fleet.pose_ns) / _SECOND_NS, 0.0, self.plan.spec.limits.pose_age_s)
+        position = self._origin_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s[:, None]
+        return Poses(position, fleet.vel_ned_m_s, fleet.quat_ned_from_frd)
+
+    def _measure(self, poses: Poses) -> None:
+        distance = min_distance_m(poses.pos_team_ned_m, self.airborne)
+        self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
+
+    def _count_gridlocks(self, blocked: BoolArray, now_ns: int) -> None:
+        """Counts each time that an agent has stood without a free direction for more than a second."""
+        self._blocked_since_ns = np.where(
+            blocked, np.where(self._blocked_since_ns == NEVER, now_ns, self._blocked_since_ns), NEVER
+        )
+        self._blocked_counted &= blocked
+        stuck = blocked & (now_ns - self._blocked_since_ns >= _SECOND_NS) & ~self._blocked_counted
+        self.figures.gridlocks += int(stuck.sum())
+        self._blocked_counted |= stuck

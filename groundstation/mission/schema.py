@@ -1,0 +1,128 @@
+"""The mission file as YAML says it: keys, types and ranges. Unknown keys are errors.
+
+Only shapes are judged here; ``plan`` judges what the values mean together.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Point = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ScaleSpec(_Strict):
+    """f of (14): gain = 1/k of ``arctan`` or ``tanh``; ``free`` leaves the scale to the start."""
+
+    kind: Literal["arctan", "tanh", "free"] = "arctan"
+    gain: Positive = 2.5
+
+
+class AvoidanceSpec(_Strict):
+    """Safety radius r and activation distance d of Algorithm 2."""
+
+    radius_m: Positive
+    activation_m: Positive
+    shape: Literal["sphere"] = "sphere"
+
+
+class TakeoffSpec(_Strict):
+    """Height above the pads at which the team gathers, and how much roles that end higher start higher."""
+
+    height_m: Positive = 0.5
+    stagger_m: NotNegative = 0.1
+    timeout_s: Positive = 20.0
+
+
+class FormStep(_Strict):
+    """Form until every distance is within tolerance."""
+
+    tolerance_m: Positive = 0.05
+    timeout_s: Positive = 60.0
+
+
+class HoldStep(_Strict):
+    """Keep the formation."""
+
+    seconds: Positive = 5.0
+
+
+class Step(_Strict):
+    """One step: exactly one of its keys."""
+
+    form: FormStep | None = None
+    hold: HoldStep | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_key(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or len(value) != 1:
+            raise ValueError("a step has exactly one key, for example `- hold: {seconds: 5}`")
+        (key,) = value
+        return {key: {} if value[key] is None else value[key]}
+
+
+class LandSpec(_Strict):
+    """Where the team lands."""
+
+    at: Literal["pads"] = "pads"
+    timeout_s: Positive = 60.0
+
+
+class FenceSpec(_Strict):
+    """Box that no vehicle may leave, team frame, ENU."""
+
+    min_m: Point
+    max_m: Point
+
+
+class LimitsSpec(_Strict):
+    """Ages and times after which the ground station reacts."""
+
+    pose_age_s: Positive = 0.5
+    pose_lost_s: Positive = 1.0
+    heartbeat_age_s: Positive = 4.0
+    preflight_s: Positive = 60.0
+    arming_s: Positive = 20.0
+    pad_error_m: Positive = 0.3
+    battery_min: Annotated[float, Field(ge=0, lt=1)] = 0.2
+
+
+class VehicleSpec(_Strict):
+    """One vehicle and its pad."""
+
+    id: Annotated[int, Field(ge=1, le=250)]
+    link: str
+    autopilot: str = "px4"
+    profile: str = "crazyflie"
+    pad_m: Point
+    origin: Literal["pad", "team"] = "pad"
+
+
+class MissionSpec(_Strict):
+    """The whole file."""
+
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    formation: str
+    gains: str | None = None
+    rate_hz: Annotated[float, Field(ge=10, le=200)] = 50.0
+    speed_limit_m_s: Positive = 0.5
+    acceleration_limit_m_s2: Positive | None = None
+    gain: Literal["auto"] | Positive = "auto"
+    scale: ScaleSpec = ScaleSpec()
+    avoidance: AvoidanceSpec
+    assignment: Literal["auto", "fixed"] = "auto"
+    min_altitude_m: NotNegative | None = None
+    takeoff: TakeoffSpec = TakeoffSpec()
+    steps: Annotated[tuple[Step, ...], Field(min_length=1)]
+    land: LandSpec = LandSpec()
+    fence: FenceSpec
+    limits: LimitsSpec = LimitsSpec()
+    vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]

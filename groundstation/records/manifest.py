@@ -1,0 +1,187 @@
+"""The manifest beside a log: what flew, with which gains and versions, from which seed, and how it ended.
+
+``flight.tlog`` goes with ``flight.manifest.json``. Written atomically, once at the start and again at the end. In a
+dry run nothing in it depends on the machine's clock or on where the log lies, so that equal flights have equal
+manifests. Does not interpret the mission: that is a plain mapping here.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import contextlib
+import hashlib
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation.core.errors import UserError
+
+FORMAT_VERSION = 1
+DRY_RUN_EPOCH_UNIX_US = 1_577_836_800_000_000
+"""2020-01-01T00:00:00Z: t = 0 of every dry run."""
+
+_NOT_REPEATABLE = ("wall_s", "log")
+"""Keys of a result that differ between equal dry runs."""
+
+
+def versions() -> dict[str, str]:
+    """Versions that a flight depends on; "unknown" for a copy of this project that was never installed."""
+    try:
+        gs = metadata.version("gs-groundstation")
+    except metadata.PackageNotFoundError:
+        gs = "unknown"
+    return {"gs": gs, "python": platform.python_version(), "numpy": np.__version__}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What stands beside a log.
+
+    Attributes:
+        mission: the mission with everything resolved (files read, defaults filled in), as plain values; ENU, metres,
+            roles and agents from 1. Read here: ``name``, ``vehicles`` (``id``, ``pad_m``, ``origin``), ``formation``
+            (``name``, ``points``, ``scale``, ``edges``) and ``avoidance.radius_m``.
+        epoch_unix_us: unix time of t = 0, microseconds.
+        versions: program name to version.
+        seed: of the random numbers; None when none were drawn.
+        dry_run: whether the emulator flew in virtual time.
+        gains_npz: the gains file, byte by byte; None when no gains are known.
+        result: how it ended; None while it flies, and for ever after a crash.
+    """
+
+    mission: Mapping[str, Any]
+    epoch_unix_us: int
+    versions: Mapping[str, str] = field(default_factory=dict)
+    seed: int | None = None
+    dry_run: bool = False
+    gains_npz: bytes | None = None
+    result: Mapping[str, Any] | None = None
+
+    @property
+    def gains_sha256(self) -> str | None:
+        """Hash of the gains file in hexadecimal, None without gains."""
+        return None if self.gains_npz is None else hashlib.sha256(self.gains_npz).hexdigest()
+
+    def finished(self, result: Mapping[str, Any]) -> Manifest:
+        """Returns the manifest of the finished flight; a dry run leaves out what would differ from run to run."""
+        drop = _NOT_REPEATABLE if self.dry_run else ()
+        return replace(self, result={key: value for key, value in result.items() if key not in drop})
+
+    def to_json(self) -> str:
+        """Encodes as strict JSON with sorted keys; numbers that are not finite become null."""
+        values = {
+            "format": FORMAT_VERSION,
+            "mission": self.mission,
+            "epoch_unix_us": self.epoch_unix_us,
+            "versions": self.versions,
+            "seed": self.seed,
+            "dry_run": self.dry_run,
+            "gains_sha256": self.gains_sha256,
+            "gains_npz_base64": None if self.gains_npz is None else base64.b64encode(self.gains_npz).decode(),
+            "result": self.result,
+        }
+        return json.dumps(_plain(values), allow_nan=False, ensure_ascii=False, indent=1, sort_keys=True) + "\n"
+
+
+def manifest_path(log: Path) -> Path:
+    """Where the manifest of a log lies: ``flight.tlog`` -> ``flight.manifest.json``, in the same folder."""
+    return log.with_name((log.stem if log.suffix == ".tlog" else log.name) + ".manifest.json")
+
+
+def write_manifest(path: Path, manifest: Manifest) -> None:
+    """Writes a manifest so that there is always a whole one: into a new file that then takes the name.
+
+    Raises:
+        UserError: the file cannot be written; what was there before is left as it was.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8") as file:
+            file.write(manifest.to_json())
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise UserError(
+            f"{path}: cannot write the manifest: {error.strerror or error}; give a folder that can be written to"
+        ) from error
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Reads a manifest and checks what this program relies on.
+
+    Raises:
+        UserError: missing, not JSON, of a later format, a key missing or of the wrong kind, or the gains are not
+            those whose hash it gives.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise UserError(
+            f"{path}: not a readable manifest: {error}; move it away to read the log without one"
+        ) from error
+    if not isinstance(values, dict):
+        raise UserError(f"{path}: expected a JSON object, found {type(values).__name__}")
+    version = _expect(path, values, "format", int)
+    if version > FORMAT_VERSION:
+        raise UserError(f"{path}: format is {version}, this program reads up to {FORMAT_VERSION}; use a later gs")
+    encoded = _expect(path, values, "gains_npz_base64", str, type(None))
+    try:
+        gains = None if encoded is None else base64.b64decode(encoded, validate=True)
+    except binascii.Error as error:
+        raise UserError(f"{path}: gains_npz_base64: {error}; the manifest is damaged") from error
+    manifest = Manifest(
+        mission=_expect(path, values, "mission", dict),
+        epoch_unix_us=_expect(path, values, "epoch_unix_us", int),
+        versions=_expect(path, values, "versions", dict),
+        seed=_expect(path, values, "seed", int, type(None)),
+        dry_run=_expect(path, values, "dry_run", bool),
+        gains_npz=gains,
+        result=_expect(path, values, "result", dict, type(None)),
+    )
+    if _expect(path, values, "gains_sha256", str, type(None)) != manifest.gains_sha256:
+        raise UserError(f"{path}: gains_sha256 is not the hash of gains_npz_base64; the manifest was changed")
+    return manifest
+
+
+def manifest_beside(log: Path) -> Manifest | None:
+    """Reads the manifest beside a log; None when there is none.
+
+    Raises:
+        UserError: there is one, and it cannot be used.
+    """
+    path = manifest_path(log)
+    return read_manifest(path) if path.exists() else None
+
+
+def _expect(path: Path, values: Mapping[str, Any], key: str, *kinds: type) -> Any:
+    if key not in values:
+        raise UserError(f"{path}: {key} is missing; the manifest is not from this program or damaged")
+    value = values[key]
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        names = " or ".join("null" if kind is type(None) else kind.__name__ for kind in kinds)
+        raise UserError(f"{path}: {key} is {value!r}, expected {names}")
+    return value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,412 @@
+"""Reads flights out of logs as arrays: reported positions in the team's frame, setpoints, roles, events.
+
+Positions in files and pictures are ENU metres; what MAVLink says in NED is turned here. Where the place of a
+vehicle's own origin is not known, its team position is not known either, and distances are not made up. Does not run
+the mission object again (that needs more than a log) and draws nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation.core.errors import UserError
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.codec import Frame, decode, message_id
+from groundstation.records.manifest import Manifest, manifest_beside
+from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
+from groundstation.records.tlog import TlogReader, read_tlog
+
+MAX_GAP_NS = 1_000_000_000
+"""Between two samples further apart than this a position is not interpolated but unknown."""
+
+_IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
+_BLOCK = 1 << 18  # pairs of vehicles times instants that are held in memory at once
+
+
+@dataclass(frozen=True)
+class VehicleTrack:
+    """What the log says of one vehicle.
+
+    Attributes:
+        sysid: MAVLink system id.
+        t_ns: times of the reported positions, shape (k,), not decreasing.
+        pos_team_enu_m: reported positions, shape (k, 3); in the vehicle's own frame when ``in_team_frame`` is False.
+        in_team_frame: whether the place of its origin in the team's frame is known.
+        setpoint_t_ns: times of the velocity setpoints sent to it, shape (m,).
+        setpoint_vel_enu_m_s: those setpoints, shape (m, 3).
+    """
+
+    sysid: int
+    t_ns: IntArray
+    pos_team_enu_m: FloatArray
+    in_team_frame: bool
+    setpoint_t_ns: IntArray
+    setpoint_vel_enu_m_s: FloatArray
+
+
+@dataclass(frozen=True)
+class FlightFormation:
+    """The formation that the manifest names.
+
+    Attributes:
+        name: for titles.
+        points_enu_m: desired points, shape (n, 3), scale applied.
+        edges: pairs of neighbouring roles, from 0.
+    """
+
+    name: str
+    points_enu_m: FloatArray
+    edges: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A span of the flight that an event named."""
+
+    name: str
+    start_ns: int
+    stop_ns: int
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One log, read.
+
+    Attributes:
+        name: of the mission, or of the file.
+        manifest: None when there is none beside the log.
+        vehicles: in the order of the mission, or by system id without a manifest.
+        formation: None when the manifest names none.
+        safety_radius_m: r of Algorithm 2; None when not known.
+        roles: changes of the vehicles' roles, in order of time.
+        events: in order of time.
+        operator: the operator's commands, in order of time.
+        phases: spans named by events, in order of time.
+        start_ns: time of the first record.
+        stop_ns: time of the last record.
+        ticks: ticks of the mission object.
+        noise_bytes: received bytes that were no good frame.
+        message: what of the log could not be read, None when all could.
+    """
+
+    name: str
+    manifest: Manifest | None
+    vehicles: tuple[VehicleTrack, ...]
+    formation: FlightFormation | None
+    safety_radius_m: float | None
+    roles: tuple[Roles, ...]
+    events: tuple[Event, ...]
+    operator: tuple[Operator, ...]
+    phases: tuple[Phase, ...]
+    start_ns: int
+    stop_ns: int
+    ticks: int
+    noise_bytes: int
+    message: str | None
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first record to the last."""
+        return (self.stop_ns - self.start_ns) / 1e9
+
+    @property
+    def samples(self) -> int:
+        """Reported positions of the vehicle that reported most of them."""
+        return max((len(track.t_ns) for track in self.vehicles), default=0)
+
+    @property
+    def setpoints(self) -> int:
+        """Velocity setpoints sent to all vehicles together."""
+        return sum(len(track.setpoint_t_ns) for track in self.vehicles)
+
+    @property
+    def role_changes(self) -> int:
+        """How often a vehicle's role changed after the first assignment, all vehicles together."""
+        pairs = zip(self.roles, self.roles[1:], strict=False)
+        return sum(a != b for old, new in pairs for a, b in zip(old.roles, new.roles, strict=False))
+
+    @property
+    def distances_known(self) -> bool:
+        """Whether at least two vehicles reported positions in one frame."""
+        placed = [track for track in self.vehicles if len(track.t_ns)]
+        return len(placed) > 1 and all(track.in_team_frame for track in placed)
+
+    def instants_ns(self) -> IntArray:
+        """All times at which any vehicle reported a position, sorted, each once."""
+        times = [track.t_ns for track in self.vehicles]
+        return np.unique(np.concatenate(times)) if times else np.zeros(0, dtype=np.int64)
+
+    def positions_at(self, t_ns: IntArray) -> FloatArray:
+        """Positions of all vehicles at common instants, interpolated on the straight line between two reports.
+
+        Args:
+            t_ns: instants, shape (t,).
+
+        Returns:
+            Shape (t, n, 3), team frame, ENU; NaN before the first and after the last report of a vehicle, and
+            between two reports more than MAX_GAP_NS apart.
+        """
+        positions = np.full((len(t_ns), len(self.vehicles), 3), np.nan)
+        for index, track in enumerate(self.vehicles):
+            if len(track.t_ns):
+                positions[:, index] = _interpolate(track, t_ns)
+        return positions
+
+    def distances_at(self, t_ns: IntArray) -> FloatArray:
+        """Distances of all pairs i < j at common instants.
+
+        Args:
+            t_ns: instants, shape (t,).
+
+        Returns:
+            Shape (t, n (n - 1) / 2), columns as in ``numpy.triu_indices(n, 1)``; NaN where a position is unknown.
+        """
+        first, second = np.triu_indices(len(self.vehicles), 1)
+        if not self.distances_known:
+            return np.full((len(t_ns), len(first)), np.nan)
+        positions = self.positions_at(t_ns)
+        return np.asarray(np.linalg.norm(positions[:, first] - positions[:, second], axis=-1), dtype=np.float64)
+
+    def min_distance_m(self) -> float | None:
+        """Smallest distance between reported positions; None when it is not known.
+
+        Looked for at every instant at which any vehicle reported; the others' positions are interpolated to it.
+        """
+        if not self.distances_known:
+            return None
+        instants = self.instants_ns()
+        step = max(1, _BLOCK // max(1, len(self.vehicles) ** 2))
+        smallest = np.inf
+        for start in range(0, len(instants), step):
+            distances = self.distances_at(instants[start : start + step])
+            if not np.all(np.isnan(distances)):
+                smallest = min(smallest, float(np.nanmin(distances)))
+        return smallest if np.isfinite(smallest) else None
+
+    def roles_at(self, t_ns: int) -> tuple[int | None, ...] | None:
+        """Role of each vehicle at a time; None before any was assigned."""
+        before = [change for change in self.roles if change.t_ns <= t_ns]
+        return before[-1].roles if before else None
+
+    def formation_error_at(self, t_ns: IntArray) -> FloatArray:
+        """Largest |d_ij - d*_ij| over all pairs of vehicles with a role.
+
+        Args:
+            t_ns: instants, sorted, shape (t,).
+
+        Returns:
+            Shape (t,), metres; NaN where a position or the formation is unknown, or fewer than two have a role.
+        """
+        error = np.full(len(t_ns), np.nan)
+        if self.formation is None or not self.distances_known:
+            return error
+        points = self.formation.points_enu_m
+        wanted = np.linalg.norm(points[:, None] - points[None], axis=-1)
+        first, second = np.triu_indices(len(self.vehicles), 1)
+        distances = self.distances_at(t_ns)
+        for k, change in enumerate(self.roles):
+            stop = self.roles[k + 1].t_ns if k + 1 < len(self.roles) else np.iinfo(np.int64).max
+            span = (t_ns >= change.t_ns) & (t_ns < stop)
+            if len(change.roles) != len(self.vehicles) or not span.any():
+                continue
+            role = np.array([-1 if item is None or item >= len(points) else item for item in change.roles])
+            pairs = (role[first] >= 0) & (role[second] >= 0)
+            if pairs.any():
+                target = wanted[role[first[pairs]], role[second[pairs]]]
+                error[span] = np.abs(distances[np.ix_(span, pairs)] - target).max(axis=1)
+        return error
+
+
+def load_flight(path: Path) -> Flight:
+    """Reads a log and the manifest beside it.
+
+    Args:
+        path: the .tlog file; without a manifest the flight has no formation, no r and no team frame.
+
+    Raises:
+        UserError: the log or its manifest cannot be used.
+    """
+    manifest = manifest_beside(path)
+    reader = read_tlog(path, None if manifest is None else manifest.epoch_unix_us)
+    return _collect(path, reader, manifest)
+
+
+def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Flight:
+    position_id = message_id("LOCAL_POSITION_NED")
+    setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
+    positions: list[tuple[int, Frame]] = []
+    setpoints: list[tuple[int, Frame]] = []
+    roles: list[Roles] = []
+    events: list[Event] = []
+    operator: list[Operator] = []
+    start_ns = stop_ns = ticks = noise_bytes = 0
+    first = True
+    for record in reader:
+        if first:
+            start_ns, first = record.t_ns, False
+        stop_ns = max(stop_ns, record.t_ns)
+        match record:
+            case Received(t_ns, _, _, frame):
+                if frame.msgid == position_id:
+                    positions.append((t_ns, frame))
+            case Sent(t_ns, frame):
+                if frame.msgid == setpoint_id:
+                    setpoints.append((t_ns, frame))
+            case Tick():
+                ticks += 1
+            case Roles():
+                roles.append(record)
+            case Event():
+                events.append(record)
+            case Operator():
+                operator.append(record)
+            case Noise():
+                noise_bytes += len(record.data)
+    mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
+    return Flight(
+        name=str(mission.get("name") or path.stem),
+        manifest=manifest,
+        vehicles=_tracks(path, mission, positions, setpoints),
+        formation=_formation(path, mission),
+        safety_radius_m=_radius(path, mission),
+        roles=tuple(roles),
+        events=tuple(events),
+        operator=tuple(operator),
+        phases=_phases(events, stop_ns),
+        start_ns=start_ns,
+        stop_ns=stop_ns,
+        ticks=ticks,
+        noise_bytes=noise_bytes,
+        message=reader.message,
+    )
+
+
+def _tracks(
+    path: Path,
+    mission: Mapping[str, Any],
+    positions: Sequence[tuple[int, Frame]],
+    setpoints: Sequence[tuple[int, Frame]],
+) -> tuple[VehicleTrack, ...]:
+    pos_t, pos_id, pos = _columns(positions, ("x", "y", "z"), sender=True)
+    set_t, set_id, vel = _columns(setpoints, ("vx", "vy", "vz"), sender=False)
+    offsets = _offsets(path, mission)
+    tracks = []
+    for sysid in offsets or {int(item): None for item in np.unique(pos_id)}:
+        offset = offsets.get(sysid)
+        own, target = pos_id == sysid, set_id == sysid
+        tracks.append(
+            VehicleTrack(
+                sysid=sysid,
+                t_ns=pos_t[own],
+                pos_team_enu_m=pos[own] + (0.0 if offset is None else offset),
+                in_team_frame=offset is not None,
+                setpoint_t_ns=set_t[target],
+                setpoint_vel_enu_m_s=vel[target],
+            )
+        )
+    return tuple(tracks)
+
+
+def _columns(
+    timed: Sequence[tuple[int, Frame]], names: tuple[str, str, str], *, sender: bool
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Times, vehicle per row and ENU vectors of frames of one type; rows that are not finite are left out."""
+    batches = decode([frame for _, frame in timed])
+    if not batches:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    (batch,) = batches
+    north, east, down = (batch.values[name].astype(np.float64) for name in names)
+    vectors = np.stack([east, north, -down], axis=-1)
+    t_ns = np.array([t for t, _ in timed], dtype=np.int64)
+    ids = batch.sysid if sender else batch.values["target_system"]
+    good = np.all(np.isfinite(vectors), axis=-1)
+    if not sender:
+        good &= (batch.values["type_mask"] & _IGNORE_VELOCITY) == 0
+    order = np.argsort(t_ns[good], kind="stable")
+    return t_ns[good][order], ids[good][order].astype(np.int64), vectors[good][order]
+
+
+def _interpolate(track: VehicleTrack, t_ns: IntArray) -> FloatArray:
+    # Of several reports with one time stamp the last one counts.
+    latest: BoolArray = np.append(np.diff(track.t_ns) > 0, True)
+    times, points = track.t_ns[latest], track.pos_team_enu_m[latest]
+    after = np.searchsorted(times, t_ns)
+    inside = np.minimum(after, len(times) - 1)
+    exact = times[inside] == t_ns
+    left, right = times[np.maximum(after - 1, 0)], times[inside]
+    gap = right - left
+    between = (after > 0) & (after < len(times)) & (gap <= MAX_GAP_NS)
+    fraction = np.where(gap > 0, (t_ns - left) / np.maximum(gap, 1), 0.0)[:, None]
+    before = points[np.maximum(after - 1, 0)]
+    line = before + fraction * (points[inside] - before)
+    return np.where(exact[:, None], points[inside], np.where(between[:, None], line, np.nan))
+
+
+def _offsets(path: Path, mission: Mapping[str, Any]) -> dict[int, FloatArray | None]:
+    """Where each vehicle's own origin lies in the team's frame; None where that is not known."""
+    offsets: dict[int, FloatArray | None] = {}
+    for index, vehicle in enumerate(mission.get("vehicles") or ()):
+        where = f"{path}: manifest: mission.vehicles[{index}]"
+        try:
+            sysid, origin = int(vehicle["id"]), vehicle.get("origin", "pad")
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise UserError(f"{where}: no usable id; the manifest is damaged") from error
+        if origin == "team":
+            offsets[sysid] = np.zeros(3)
+        elif origin == "pad":
+            offsets[sysid] = _vectors(f"{where}.pad_m", vehicle.get("pad_m"), (3,))
+        else:
+            offsets[sysid] = None
+    return offsets
+
+
+def _formation(path: Path, mission: Mapping[str, Any]) -> FlightFormation | None:
+    given = mission.get("formation")
+    if not isinstance(given, Mapping):
+        return None
+    where = f"{path}: manifest: mission.formation"
+    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * float(given.get("scale", 1.0))
+    edges = given.get("edges", ())
+    n = len(points)
+    if edges == "complete":
+        pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
+    else:
+        try:
+            pairs = [(int(i) - 1, int(j) - 1) for i, j in edges]
+        except (TypeError, ValueError) as error:
+            raise UserError(f"{where}.edges: expected pairs of agents; the manifest is damaged") from error
+    if any(not 0 <= k < n for pair in pairs for k in pair):
+        raise UserError(f"{where}.edges: an agent is not in 1 to {n}; the manifest is damaged")
+    return FlightFormation(str(given.get("name", "formation")), points, tuple(pairs))
+
+
+def _radius(path: Path, mission: Mapping[str, Any]) -> float | None:
+    avoidance = mission.get("avoidance")
+    radius = avoidance.get("radius_m") if isinstance(avoidance, Mapping) else None
+    if radius is None:
+        return None
+    return float(_vectors(f"{path}: manifest: mission.avoidance.radius_m", [radius], (1,))[0])
+
+
+def _vectors(where: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+    try:
+        array = np.array(value, dtype=np.float64).reshape(shape)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{where}: {value!r} are not the numbers expected; the manifest is damaged") from error
+    if not np.all(np.isfinite(array)):
+        raise UserError(f"{where}: {value!r}: expected finite numbers; the manifest is damaged")
+    return array
+
+
+def _phases(events: Sequence[Event], stop_ns: int) -> tuple[Phase, ...]:
+    starts = [event for event in events if event.text.startswith(PHASE_PREFIX)]
+    ends = [*(event.t_ns for event in starts[1:]), stop_ns][: len(starts)]
+    return tuple(
+        Phase(event.text.removeprefix(PHASE_PREFIX).strip(), event.t_ns, end)
+        for event, end in zip(starts, ends, strict=True)
+    )

@@ -1,0 +1,476 @@
+"""Writes and reads .tlog: 8-byte big-endian microseconds of unix time, then the raw MAVLink frame, both directions.
+
+The writer never raises into a flight: a full disk ends the recording and is told once. The reader gives every whole
+record of a damaged, truncated or foreign log and says what it left out. Neither reads a clock, and neither lets the
+key in a SETUP_SIGNING message near a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import struct
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+from groundstation.core.errors import UserError
+from groundstation.mavlink.codec import MAGIC_V1, MAGIC_V2, Encoder, Frame, FrameSplitter, message_id, message_name
+from groundstation.records.notes import (
+    FORMAT_VERSION,
+    NOISE_BYTES,
+    NOISE_SUBJECT,
+    OWN_SUBJECT,
+    Event,
+    Kind,
+    Noise,
+    Operator,
+    Origin,
+    Received,
+    Record,
+    Roles,
+    Sent,
+    pack_header,
+    pack_origin,
+    pack_roles,
+    pack_text,
+    pack_tick,
+    unpack_header,
+    unpack_origin,
+    unpack_roles,
+    unpack_tick,
+)
+
+GROUND_SYSID = 255
+GROUND_COMPID = 190
+
+_STAMP = struct.Struct(">Q")
+_SETUP_SIGNING = 256
+_FLUSH_NS = 1_000_000_000
+_FLUSH_BYTES = 1 << 16
+LATEST_UNIX_US = 4_102_444_800_000_000  # 2100-01-01
+_NEAR_US = 86_400_000_000  # one day: neighbours in a log are nearer than that
+_MAGIC = re.compile(b"[\xfd\xfe]")
+_SIGNING_FRAME = re.compile(rb"\xfd.{6}\x00\x01\x00.*", re.DOTALL)
+
+
+class Sink(Protocol):
+    """What the writer needs of a binary file."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Takes bytes; may take fewer than it is given, and says how many."""
+
+    def flush(self) -> None:
+        """Hands over what it holds back."""
+
+    def close(self) -> None:
+        """Ends the file."""
+
+
+class TlogWriter:
+    """Records one flight.
+
+    Attributes:
+        problem: None while everything is recorded; after a write failed, one sentence. Nothing is recorded then.
+
+    Args:
+        target: file to create (replaced when it exists), or an open binary file, which ``close`` closes.
+        epoch_unix_us: unix time of t = 0, microseconds. Times given to the methods are monotonic ns; microseconds
+            are kept, what is below is cut off.
+        sysid: system id of the ground station; frames of this sender are told apart by direction.
+        compid: its component id.
+        stream_links: links on which a frame may span two calls of ``received`` (serial, TCP).
+
+    Raises:
+        UserError: the file cannot be created.
+    """
+
+    def __init__(
+        self,
+        target: Path | Sink,
+        epoch_unix_us: int,
+        *,
+        sysid: int = GROUND_SYSID,
+        compid: int = GROUND_COMPID,
+        stream_links: Collection[int] = (),
+    ) -> None:
+        self._file = _create(target) if isinstance(target, Path) else target
+        self._name = str(target) if isinstance(target, Path) else "log"
+        self._epoch_unix_us = epoch_unix_us
+        self._sender = (sysid, compid)
+        self._notes = Encoder(sysid, compid)
+        self._stream_links = frozenset(stream_links)
+        self._datagrams = FrameSplitter()
+        self._streams: dict[tuple[int, str], FrameSplitter] = {}
+        self._origins: dict[int, tuple[int, str]] = {}
+        self._buffer = bytearray()
+        self._flushed_ns: int | None = None
+        self._closed = False
+        self.problem: str | None = None
+
+    def __enter__(self) -> TlogWriter:
+        """Returns itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Closes the log."""
+        self.close()
+
+    def received(self, link: int, peer: str, data: bytes, t_ns: int) -> None:
+        """Records what arrived, raw: one datagram, or the next bytes of a stream.
+
+        Args:
+            link: index of the link, 0 to 65535.
+            peer: the sender's address, as the link tells it.
+            data: the bytes; frames are kept whole, all others as noise.
+            t_ns: arrival, monotonic, ns.
+        """
+        if self.problem is not None:
+            return
+        splitter = self._datagrams
+        if link in self._stream_links:
+            splitter = self._streams.setdefault((link, peer), FrameSplitter(datagrams=False))
+        for piece in splitter.feed(data):
+            if not isinstance(piece, Frame):
+                self._noise(link, peer, piece, t_ns)
+            elif piece.msgid != _SETUP_SIGNING:
+                # A frame that bears our own id counts as sent unless an ORIGIN stands right before it.
+                ours = (piece.sysid, piece.compid) == self._sender
+                subject = OWN_SUBJECT if ours else piece.sysid
+                if ours or self._origins.get(subject) != (link, peer):
+                    self._origin(subject, link, peer, t_ns)
+                self._write(piece.raw, t_ns)
+
+    def sent(self, frame: bytes, t_ns: int) -> None:
+        """Records one frame that went out."""
+        if not _SIGNING_FRAME.match(frame):
+            self._write(frame, t_ns)
+
+    def tick(self, t_ns: int, number: int) -> None:
+        """Records the time and the number of a step of the mission object, before the step."""
+        self._note(Kind.TICK, pack_tick(t_ns, number), t_ns)
+
+    def operator(self, text: str, t_ns: int) -> None:
+        """Records a command of the operator."""
+        self._note_pieces(Kind.OPERATOR, pack_text(text.encode()), t_ns)
+
+    def event(self, text: str, t_ns: int) -> None:
+        """Records something for people and the report; ``"phase: NAME"`` begins a phase."""
+        self._note_pieces(Kind.EVENT, pack_text(text.encode()), t_ns)
+
+    def roles(self, roles: Sequence[int | None], t_ns: int) -> None:
+        """Records the role of each vehicle, in the order of the mission, counted from 0, None for none."""
+        self._note_pieces(Kind.ROLES, pack_roles(roles), t_ns)
+
+    def close(self) -> None:
+        """Writes what is left and closes the file; a second call does nothing."""
+        if self._closed:
+            return
+        if self._flushed_ns is None:
+            self._begin(0)
+        self._flush()
+        self._closed = True
+        try:
+            self._file.close()
+        except OSError as error:
+            self._fail(error)
+
+    def _noise(self, link: int, peer: str, data: bytes, t_ns: int) -> None:
+        if self._origins.get(NOISE_SUBJECT) != (link, peer):
+            self._origin(NOISE_SUBJECT, link, peer, t_ns)
+        # A damaged SETUP_SIGNING may still show the key: from its header on only the number of bytes is kept.
+        data = _SIGNING_FRAME.sub(lambda match: bytes(len(match[0])), data)
+        self._note_pieces(Kind.NOISE, pack_text(data, NOISE_BYTES), t_ns)
+
+    def _origin(self, subject: int, link: int, peer: str, t_ns: int) -> None:
+        self._origins[subject] = (link, peer)
+        self._note_pieces(Kind.ORIGIN, pack_origin(Origin(subject, link, peer)), t_ns)
+
+    def _note_pieces(self, kind: Kind, pieces: Iterator[bytes], t_ns: int) -> None:
+        for piece in pieces:
+            self._note(kind, piece, t_ns)
+
+    def _note(self, kind: Kind, payload: bytes, t_ns: int) -> None:
+        frame = self._notes.encode("TUNNEL", payload_type=int(kind), payload_length=len(payload), payload=payload)
+        self._write(frame, t_ns)
+
+    def _begin(self, t_ns: int) -> None:
+        self._flushed_ns = t_ns
+        self._note(Kind.HEADER, pack_header(self._epoch_unix_us), t_ns)
+
+    def _write(self, frame: bytes, t_ns: int) -> None:
+        if self.problem is not None or self._closed:
+            return
+        if self._flushed_ns is None:
+            self._begin(t_ns)
+        self._buffer += _STAMP.pack(self._epoch_unix_us + t_ns // 1000) + frame
+        if t_ns - (self._flushed_ns or 0) >= _FLUSH_NS or len(self._buffer) >= _FLUSH_BYTES:
+            self._flushed_ns = t_ns
+            self._flush()
+
+    def _flush(self) -> None:
+        if self.problem is not None:
+            return
+        try:
+            view = memoryview(self._buffer).toreadonly()
+            while view:
+                taken = self._file.write(bytes(view))
+                view = view[len(view) if taken is None else taken :]
+            self._file.flush()
+        except OSError as error:
+            self._fail(error)
+        self._buffer = bytearray()
+
+    def _fail(self, error: OSError) -> None:
+        reason = error.strerror or str(error)
+        self.problem = f"{self._name}: recording stopped: {reason}; the flight goes on without a log"
+
+
+def _create(path: Path) -> Sink:
+    try:
+        return path.open("wb", buffering=0)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UserError(f"{path}: cannot create the log: {reason}; give a file that can be written") from error
+
+
+class TlogReader:
+    """Gives the records of one log in the order of the file; may be iterated again.
+
+    Attributes:
+        epoch_unix_us: unix time of t = 0, microseconds: as the log says; the first time stamp in foreign logs.
+        native: whether this project wrote the log, so that directions, ticks and notes are known.
+        damaged_bytes: bytes amid the log that were no record and were skipped, as of the latest iteration.
+        truncated_bytes: bytes at the end that are no whole record, as of the latest iteration.
+    """
+
+    def __init__(self, data: bytes, name: str = "log", epoch_unix_us: int | None = None) -> None:
+        """Finds the first record.
+
+        Args:
+            data: the whole file.
+            name: for messages.
+            epoch_unix_us: unix time of t = 0 where the log itself does not say.
+
+        Raises:
+            UserError: there is no record in it, or it has a later format.
+        """
+        self._data = data
+        self._name = name
+        self._splitter = FrameSplitter()
+        self.damaged_bytes = 0
+        self.truncated_bytes = 0
+        if not data:
+            raise UserError(f"{name}: the file is empty, expected a log (.tlog)")
+        first = next(self._frames(), None)
+        if first is None:
+            raise UserError(
+                f"{name}: no MAVLink frame in {len(data)} bytes, expected a log (.tlog): "
+                "8 bytes of time stamp before each frame"
+            )
+        stamp_us, frame = first
+        self._sender = (GROUND_SYSID, GROUND_COMPID)
+        self.native = data.find(bytes((*self._sender, 0x81, 0x01, 0x00))) >= 0  # id 385 behind the sender's ids
+        self.epoch_unix_us = stamp_us if epoch_unix_us is None else epoch_unix_us
+        note = _note_in(frame)
+        if note is not None and note[0] == Kind.HEADER and len(note[1]) >= 10:
+            version, epoch = unpack_header(note[1])
+            if version > FORMAT_VERSION:
+                raise UserError(
+                    f"{name}: log format {version}, this program reads up to {FORMAT_VERSION}; "
+                    "read it with the version that its manifest names"
+                )
+            self.native = True
+            self._sender = (frame.sysid, frame.compid)
+            self.epoch_unix_us = epoch
+
+    @property
+    def message(self) -> str | None:
+        """What the latest iteration had to leave out, as one sentence; None when it gave everything."""
+        parts = []
+        if self.damaged_bytes:
+            parts.append(f"{self.damaged_bytes} bytes amid the log were no record and were skipped")
+        if self.truncated_bytes:
+            parts.append(f"the last {self.truncated_bytes} bytes are no whole record and were left out")
+        return f"{self._name}: {'; '.join(parts)}" if parts else None
+
+    def __iter__(self) -> Iterator[Record]:
+        """Gives record by record; resets what was left out."""
+        return self._native_records() if self.native else self._foreign_records()
+
+    def _foreign_records(self) -> Iterator[Record]:
+        """Everything is received but what bears the system id that ground stations use."""
+        for stamp_us, frame in self._frames():
+            t_ns = (stamp_us - self.epoch_unix_us) * 1000
+            yield Sent(t_ns, frame) if frame.sysid == GROUND_SYSID else Received(t_ns, 0, "", frame)
+
+    def _native_records(self) -> Iterator[Record]:
+        assembler = _Assembler()
+        for stamp_us, frame in self._frames():
+            t_ns = (stamp_us - self.epoch_unix_us) * 1000
+            if (frame.sysid, frame.compid) != self._sender:
+                link, peer = assembler.origins.get(frame.sysid, (0, ""))
+                yield Received(t_ns, link, peer, frame)
+            elif assembler.next_is_received:
+                assembler.next_is_received = False
+                yield Received(t_ns, *assembler.origins[OWN_SUBJECT], frame)
+            elif (note := _note_in(frame)) is None:
+                yield Sent(t_ns, frame)
+            elif (record := assembler.take(t_ns, *note)) is not None:
+                yield record
+
+    def _frames(self) -> Iterator[tuple[int, Frame]]:
+        """Gives (unix microseconds, frame) of each whole record."""
+        data, end = self._data, len(self._data)
+        self.damaged_bytes = self.truncated_bytes = 0
+        position, last_us = 0, None
+        while position < end:
+            start = position
+            found = self._record_at(start, last_us)
+            while found is None:
+                magic = _MAGIC.search(data, start + 9)
+                if magic is None:
+                    self.truncated_bytes = end - position
+                    return
+                start = magic.start() - 8
+                found = self._record_at(start, last_us)
+            self.damaged_bytes += start - position
+            last_us, frame = found
+            position = start + 8 + len(frame.raw)
+            yield found
+
+    def _record_at(self, start: int, last_us: int | None) -> tuple[int, Frame] | None:
+        """Reads the record at ``start``; None when there is none that can be believed.
+
+        The frame has a checksum, its time stamp has not: it must be near that of the record before or after. A frame
+        with an id that the dialect does not know cannot be checked, so that a record (or the end) must follow it.
+        """
+        data = self._data
+        if start + 8 + 8 > len(data):
+            return None
+        magic = data[start + 8]
+        if magic == MAGIC_V2:
+            size = 12 + data[start + 9] + (13 if data[start + 10] & 1 else 0)
+        elif magic == MAGIC_V1:
+            size = 8 + data[start + 9]
+        else:
+            return None
+        stamp_us = _stamp_at(data, start)
+        stop = start + 8 + size
+        if stop > len(data) or stamp_us > LATEST_UNIX_US:
+            return None
+        pieces = self._splitter.feed(data[start + 8 : stop])
+        frame = pieces[0]
+        if len(pieces) != 1 or not isinstance(frame, Frame):
+            return None
+        known = message_name(frame.msgid) is not None
+        near = last_us is None or abs(stamp_us - last_us) <= _NEAR_US
+        if near and (known or len(data) - stop < 9):
+            return stamp_us, frame
+        if len(data) - stop < 9 or data[stop + 8] not in (MAGIC_V1, MAGIC_V2):
+            return None
+        next_us = _stamp_at(data, stop)
+        follows = abs(next_us - stamp_us) <= _NEAR_US or (near and next_us <= LATEST_UNIX_US)
+        return (stamp_us, frame) if follows else None
+
+
+class _Assembler:
+    """Turns notes into records, joining those that needed several frames, and remembers where frames came from.
+
+    Attributes:
+        origins: (link, peer) by system id, NOISE_SUBJECT and OWN_SUBJECT.
+        next_is_received: an ORIGIN of OWN_SUBJECT stood last: the next frame with our own ids was received.
+    """
+
+    def __init__(self) -> None:
+        self._parts: dict[int, bytes] = {}
+        self._roles: list[int | None] = []
+        self.origins: dict[int, tuple[int, str]] = {}
+        self.next_is_received = False
+
+    def take(self, t_ns: int, kind: int, payload: bytes) -> Record | None:
+        """Takes one note; returns the record that it completes, if any. Kinds of later formats are passed over."""
+        with contextlib.suppress(ValueError):  # a note cut short by damage that no checksum saw
+            if kind == Kind.TICK:
+                return unpack_tick(payload)
+            if kind == Kind.ROLES:
+                return self._take_roles(t_ns, payload)
+            if kind in _IN_PARTS and payload:
+                text = self._parts.pop(kind, b"") + payload[1:]
+                if payload[0]:
+                    self._parts[kind] = text
+                    return None
+                return _IN_PARTS[Kind(kind)](self, t_ns, text)
+        return None
+
+    def _take_roles(self, t_ns: int, payload: bytes) -> Record | None:
+        first, count, roles = unpack_roles(payload)
+        if first == 0:
+            self._roles = []
+        if first == len(self._roles):
+            self._roles += roles
+        return Roles(t_ns, tuple(self._roles)) if len(self._roles) == count else None
+
+    def _take_origin(self, _t_ns: int, joined: bytes) -> None:
+        origin = unpack_origin(joined)
+        self.origins[origin.subject] = (origin.link, origin.peer)
+        self.next_is_received = origin.subject == OWN_SUBJECT
+
+    def _take_noise(self, t_ns: int, data: bytes) -> Record:
+        return Noise(t_ns, *self.origins.get(NOISE_SUBJECT, (0, "")), data)
+
+    def _take_operator(self, t_ns: int, text: bytes) -> Record:
+        return Operator(t_ns, text.decode(errors="replace"))
+
+    def _take_event(self, t_ns: int, text: bytes) -> Record:
+        return Event(t_ns, text.decode(errors="replace"))
+
+
+_IN_PARTS: dict[int, Callable[[_Assembler, int, bytes], Record | None]] = {
+    Kind.ORIGIN: _Assembler._take_origin,
+    Kind.NOISE: _Assembler._take_noise,
+    Kind.OPERATOR: _Assembler._take_operator,
+    Kind.EVENT: _Assembler._take_event,
+}
+
+
+def read_tlog(path: Path, epoch_unix_us: int | None = None) -> TlogReader:
+    """Opens a log of this or another program (QGroundControl, MAVProxy; MAVLink 1 and 2).
+
+    Args:
+        path: the .tlog file.
+        epoch_unix_us: unix time of t = 0 where the log itself does not say.
+
+    Raises:
+        UserError: no such file, not readable, empty, or not a log.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: no such log; give the .tlog file that a flight or an import wrote") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot read the log: {error.strerror or error}") from error
+    return TlogReader(data, os.fspath(path), epoch_unix_us)
+
+
+def _note_in(frame: Frame) -> tuple[int, bytes] | None:
+    """Payload type and payload of a log-only TUNNEL frame, None for any other."""
+    if frame.msgid != _TUNNEL_ID:
+        return None
+    whole = frame.payload.ljust(5, b"\0")
+    kind = whole[0] | whole[1] << 8
+    length = whole[4]
+    if not Kind.HEADER <= kind <= 0x9FFF:
+        return None
+    return kind, whole[5 : 5 + length].ljust(length, b"\0")
+
+
+def _stamp_at(data: bytes, start: int) -> int:
+    return int(_STAMP.unpack_from(data, start)[0])
+
+
+_TUNNEL_ID = message_id("TUNNEL")

@@ -1,0 +1,41 @@
+"""A battery that empties with the thrust it has to provide. Refuses to draw conclusions: the autopilots do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Battery:
+    """State of one battery.
+
+    Attributes:
+        endurance_s: hovering time from full to empty.
+        cells: number of cells in series.
+        capacity_mah: only for what is reported.
+        left: what is left, 1 when full.
+        current_a, voltage_v: under the present load.
+    """
+
+    endurance_s: float
+    cells: int = 4
+    capacity_mah: float = 3300.0
+    left: float = 1.0
+    current_a: float = 0.0
+    voltage_v: float = 16.2
+
+    def drain(self, load: float, dt_s: float) -> None:
+        """Runs for ``dt_s`` under a load in hovering powers (0 standing, 1 hovering)."""
+        self.left = max(self.left - (load + 0.01) * dt_s / self.endurance_s, 0.0)
+        self.current_a = (load + 0.01) * self.capacity_mah * 3.6 / self.endurance_s
+        # open-circuit voltage of a LiPo cell, nearly flat between 20 and 90 percent, minus what the load takes
+        cell = 3.5 + 0.55 * self.left + 0.15 * max(self.left - 0.9, 0.0) * 10 - 0.4 * max(0.1 - self.left, 0.0) * 10
+        self.voltage_v = self.cells * (min(cell, 4.2) - 0.08 * load)
+
+    def percent(self) -> int:
+        """Remaining charge as reported, 0 to 100."""
+        return max(0, min(100, round(self.left * 100)))
+
+    def used_mah(self) -> float:
+        """Charge taken out since full."""
+        return (1.0 - self.left) * self.capacity_mah

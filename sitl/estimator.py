@@ -1,0 +1,123 @@
+"""What the vehicles believe: truth plus correlated errors, drawn from the seed.
+
+Position, velocity and attitude errors are Gauss-Markov processes (first order, stationary from the start); a small
+white part is added at the moment of reporting. Faults put offsets on top. The position and velocity errors act on the
+control loops too: a vehicle flies by what it believes.
+
+Refuses to draw from anything but the generator that it is given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl.frames import Array
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of one vehicle's estimate.
+
+    Attributes:
+        pos_sigma_m: standard deviation of the slow position error on each axis.
+        pos_tau_s: its correlation time.
+        pos_white_m: standard deviation of the white part in each report.
+        vel_sigma_m_s, vel_tau_s: the same for the velocity.
+        att_sigma_rad, att_tau_s: the same for the tilt (two axes) and the heading.
+        origin_sigma_m: error of the estimator's origin at start, horizontal; vertical 1.2 times as large; both are
+            cut off at two sigma.
+    """
+
+    pos_sigma_m: float = 0.005
+    pos_tau_s: float = 1.0
+    pos_white_m: float = 0.0005
+    vel_sigma_m_s: float = 0.01
+    vel_tau_s: float = 0.3
+    att_sigma_rad: float = math.radians(0.3)
+    att_tau_s: float = 2.0
+    origin_sigma_m: float = 0.0
+
+
+NOISELESS = Noise(0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0)
+MOCAP = Noise()
+"""Motion capture, millimetres."""
+GPS = Noise(
+    pos_sigma_m=0.12,
+    pos_tau_s=60.0,
+    pos_white_m=0.002,
+    vel_sigma_m_s=0.035,
+    vel_tau_s=15.0,
+    att_sigma_rad=math.radians(0.5),
+    att_tau_s=10.0,
+    origin_sigma_m=0.25,
+)
+"""GPS and IMU: seen to wander by 1 to 2.5 m a minute at zero command, origins off by up to 0.5 m / 0.6 m."""
+NOISES = {"none": NOISELESS, "mocap": MOCAP, "gps": GPS}
+
+_BLOCK = 128
+_EVERY = 5  # the errors move every fifth physics step: they are slow
+
+
+class Estimator:
+    """Errors of n vehicles' estimates.
+
+    Attributes:
+        pos_error: error of the position used for control and reports, shape (3, n), ENU m.
+        vel_error: error of the velocity, shape (3, n), ENU m/s.
+        att_error: errors of the upward axis (east, north) and of the heading, shape (3, n), rad.
+        offset_enu_m: what faults add to the position, shape (3, n).
+        drift_enu_m_s: how fast that offset grows, shape (3, n).
+    """
+
+    def __init__(self, noises: Sequence[Noise], step_s: float, rng: np.random.Generator) -> None:
+        n = len(noises)
+        self._rng, self._n, self._dt = rng, n, step_s * _EVERY
+
+        def rows(name: str) -> Array:
+            return np.repeat(np.array([[getattr(noise, name) for noise in noises]]), 3, axis=0)
+
+        sigma = np.concatenate([rows("pos_sigma_m"), rows("vel_sigma_m_s"), rows("att_sigma_rad")])
+        tau = np.concatenate([rows("pos_tau_s"), rows("vel_tau_s"), rows("att_tau_s")])
+        self._keep = np.exp(-self._dt / tau)
+        self._drive = sigma * np.sqrt(1.0 - self._keep**2)
+        self._state = sigma * rng.standard_normal((9, n))
+        self.white_m = rows("pos_white_m")
+        self._drawn = np.empty((0, 9, n))
+        self._next = 0
+        self._count = 0
+        self.offset_enu_m = np.zeros((3, n))
+        self.drift_enu_m_s = np.zeros((3, n))
+        self.faulty = False
+        self.pos_error, self.vel_error, self.att_error = self._state[:3], self._state[3:6], self._state[6:]
+        origin = np.array([noise.origin_sigma_m for noise in noises])
+        self.origin_error_enu_m = np.clip(rng.standard_normal((3, n)), -2.0, 2.0) * origin
+        self.origin_error_enu_m[2] *= 1.2
+
+    def step(self) -> None:
+        """Lets the errors wander by one physics step."""
+        self._count += 1
+        if self._count % _EVERY:
+            return
+        if self._next == len(self._drawn):
+            self._drawn = self._rng.standard_normal((_BLOCK, 9, self._n))
+            self._next = 0
+        state = self._state
+        state *= self._keep
+        state += self._drawn[self._next] * self._drive
+        self._next += 1
+        if self.faulty:
+            self.offset_enu_m += self.drift_enu_m_s * self._dt
+            self.pos_error = state[:3] + self.offset_enu_m
+
+    def refresh(self) -> None:
+        """Lets a changed ``offset_enu_m`` act at once."""
+        self.faulty = bool(self.offset_enu_m.any() or self.drift_enu_m_s.any())
+        self.pos_error = self._state[:3] + self.offset_enu_m if self.faulty else self._state[:3]
+
+    def white(self) -> Array:
+        """White part of one report of every position, shape (3, n), m."""
+        return np.asarray(self._rng.standard_normal((3, self._n)) * self.white_m)

@@ -1,0 +1,342 @@
+"""Columns of every streamed message type, in wire units, made from what the vehicles believe.
+
+One function per type: (world, view, vehicles) to a structured array with one row per vehicle. Refuses to decide who
+sends what and when.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.mavlink.codec import StructuredArray, layout
+from sitl.frames import frd_from_ned
+from sitl.telemetry import View
+
+if TYPE_CHECKING:
+    from sitl.autopilot import Autopilot
+    from sitl.world import World
+
+IntArray = NDArray[np.int64]
+Maker = Callable[["World", View, IntArray], StructuredArray]
+MAKERS: dict[str, Maker] = {}
+NEEDS_POSITION: set[str] = set()
+NEEDS_GPS: set[str] = set()
+
+_SEA_LEVEL_HPA = 1013.25
+
+
+def _message(*, position: bool = False, gps: bool = False) -> Callable[[Maker], Maker]:
+    """Registers a maker under its upper-case name; with ``position`` it is silent before the estimator is ready."""
+
+    def register(maker: Maker) -> Maker:
+        name = maker.__name__.lstrip("_").upper()
+        MAKERS[name] = maker
+        if position:
+            NEEDS_POSITION.add(name)
+        if gps:
+            NEEDS_GPS.add(name)
+        return maker
+
+    return register
+
+
+def _rows(name: str, vehicles: IntArray) -> StructuredArray:
+    return np.zeros(len(vehicles), dtype=layout(name).dtype)
+
+
+def _each(world: World, vehicles: IntArray) -> list[Autopilot]:
+    return [world.autopilots[i] for i in vehicles]
+
+
+def _ms(world: World, vehicles: IntArray) -> IntArray:
+    return np.asarray(world.vehicle_time_ns()[vehicles] // 1_000_000)
+
+
+def _us(world: World, vehicles: IntArray) -> IntArray:
+    return np.asarray(world.vehicle_time_ns()[vehicles] // 1_000)
+
+
+@_message()
+def _heartbeat(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("HEARTBEAT", vehicles)
+    for row, pilot in zip(out, _each(world, vehicles), strict=True):
+        row["type"], row["autopilot"] = 2, pilot.mav_autopilot
+        row["base_mode"], row["custom_mode"] = pilot.base_mode(), pilot.custom_mode()
+        row["system_status"] = pilot.system_status()
+        row["mavlink_version"] = 3
+    return out
+
+
+@_message()
+def _sys_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("SYS_STATUS", vehicles)
+    for row, pilot in zip(out, _each(world, vehicles), strict=True):
+        present, enabled, health = pilot.sensor_bits()
+        row["onboard_control_sensors_present"] = present
+        row["onboard_control_sensors_enabled"] = enabled
+        row["onboard_control_sensors_health"] = health
+        row["load"] = 250
+        battery = pilot.battery
+        row["voltage_battery"] = int(battery.voltage_v * 1000)
+        row["current_battery"] = int(battery.current_a * 100)
+        row["battery_remaining"] = battery.percent()
+    return out
+
+
+@_message()
+def _system_time(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("SYSTEM_TIME", vehicles)
+    out["time_unix_usec"] = world.unix_us() + world.clock_offset_ns[vehicles] // 1000
+    out["time_boot_ms"] = _ms(world, vehicles)
+    return out
+
+
+@_message()
+def _timesync(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("TIMESYNC", vehicles)
+    out["ts1"] = world.vehicle_time_ns()[vehicles]
+    return out
+
+
+@_message()
+def _attitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("ATTITUDE", vehicles)
+    roll, pitch, yaw = view.euler_rad
+    rates = view.rates_frd_rad_s
+    out["time_boot_ms"] = _ms(world, vehicles)
+    out["roll"], out["pitch"], out["yaw"] = roll[vehicles], pitch[vehicles], yaw[vehicles]
+    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = rates[:, vehicles]
+    return out
+
+
+@_message()
+def _attitude_quaternion(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("ATTITUDE_QUATERNION", vehicles)
+    out["time_boot_ms"] = _ms(world, vehicles)
+    out["q1"], out["q2"], out["q3"], out["q4"] = view.quat_ned_from_frd[:, vehicles]
+    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
+    return out
+
+
+@_message(position=True)
+def _local_position_ned(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("LOCAL_POSITION_NED", vehicles)
+    out["time_boot_ms"] = _ms(world, vehicles)
+    out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
+    out["vx"], out["vy"], out["vz"] = view.vel_ned_m_s[:, vehicles]
+    return out
+
+
+@_message(position=True)
+def _odometry(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("ODOMETRY", vehicles)
+    out["time_usec"] = _us(world, vehicles)
+    out["frame_id"], out["child_frame_id"] = 1, 12  # LOCAL_NED, BODY_FRD
+    out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
+    out["q"] = view.quat_ned_from_frd[:, vehicles].T
+    out["vx"], out["vy"], out["vz"] = frd_from_ned(view.quat_ned_from_frd, view.vel_ned_m_s)[:, vehicles]
+    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
+    variance = world.estimator.white_m[0, vehicles] ** 2 + 1e-6
+    for diagonal in (0, 6, 11):
+        out["pose_covariance"][:, diagonal] = variance
+        out["velocity_covariance"][:, diagonal] = 1e-4
+    for diagonal in (15, 18, 20):
+        out["pose_covariance"][:, diagonal] = 1e-5
+        out["velocity_covariance"][:, diagonal] = np.nan
+    out["quality"] = 100
+    return out
+
+
+def _number(world: World, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Replaces what is not a number by 0, for fields that are integers on the wire."""
+    return np.nan_to_num(values) if world.any_invalid else values
+
+
+def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float64]]:
+    lat, lon, alt = view.geodetic
+    world = view.world
+    lat_e7 = np.rint(_number(world, lat[vehicles]) * 1e7).astype(np.int64)
+    lon_e7 = np.rint(_number(world, lon[vehicles]) * 1e7).astype(np.int64)
+    return lat_e7, lon_e7, _number(world, alt[vehicles])
+
+
+@_message(position=True)
+def _global_position_int(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("GLOBAL_POSITION_INT", vehicles)
+    out["time_boot_ms"] = _ms(world, vehicles)
+    out["lat"], out["lon"], alt = _geo(view, vehicles)
+    out["alt"] = np.rint(alt * 1000.0)
+    height = _number(world, view.pos_enu_m[2, vehicles]) - world.home_enu_m[2, vehicles]
+    out["relative_alt"] = np.rint(height * 1000.0)
+    vel = np.clip(_number(world, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767, 32767)
+    out["vx"], out["vy"], out["vz"] = np.rint(vel)
+    out["hdg"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0 * 100.0) % 36000
+    return out
+
+
+@_message(gps=True)
+def _gps_raw_int(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("GPS_RAW_INT", vehicles)
+    out["time_usec"] = _us(world, vehicles)
+    out["fix_type"] = 3
+    out["lat"], out["lon"], alt = _geo(view, vehicles)
+    out["alt"] = out["alt_ellipsoid"] = np.rint(alt * 1000.0)
+    out["eph"], out["epv"] = 80, 110
+    vel = _number(world, view.vel_ned_m_s[:, vehicles])
+    out["vel"] = np.minimum(np.rint(np.hypot(vel[0], vel[1]) * 100.0), 65534)
+    out["cog"] = np.rint(np.degrees(np.arctan2(vel[1], vel[0])) % 360.0 * 100.0) % 36000
+    out["satellites_visible"] = 12
+    out["h_acc"], out["v_acc"], out["vel_acc"] = 900, 1400, 200
+    return out
+
+
+@_message()
+def _highres_imu(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("HIGHRES_IMU", vehicles)
+    out["time_usec"] = _us(world, vehicles)
+    out["xacc"], out["yacc"], out["zacc"] = view.specific_force_frd_m_s2[:, vehicles]
+    out["xgyro"], out["ygyro"], out["zgyro"] = view.rates_frd_rad_s[:, vehicles]
+    yaw = view.euler_rad[2][vehicles]
+    out["xmag"], out["ymag"], out["zmag"] = 0.215 * np.cos(yaw), -0.215 * np.sin(yaw), 0.43
+    height = _number(world, view.pos_enu_m[2, vehicles])
+    out["pressure_alt"] = height + world.config.home_alt_m
+    out["abs_pressure"] = _SEA_LEVEL_HPA * (1.0 - 2.25577e-5 * out["pressure_alt"]) ** 5.25588
+    out["temperature"] = 25.0
+    out["fields_updated"] = 0x1FFF
+    return out
+
+
+@_message(position=True)
+def _altitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("ALTITUDE", vehicles)
+    out["time_usec"] = _us(world, vehicles)
+    alt = view.geodetic[2][vehicles]
+    out["altitude_monotonic"] = out["altitude_amsl"] = alt
+    out["altitude_local"] = -view.local_ned_m[2, vehicles]
+    out["altitude_relative"] = view.pos_enu_m[2, vehicles] - world.home_enu_m[2, vehicles]
+    out["altitude_terrain"] = np.nan
+    out["bottom_clearance"] = np.nan
+    return out
+
+
+@_message()
+def _vfr_hud(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("VFR_HUD", vehicles)
+    vel = view.vel_ned_m_s[:, vehicles]
+    out["airspeed"] = out["groundspeed"] = np.hypot(vel[0], vel[1])
+    out["climb"] = -vel[2]
+    out["alt"] = view.geodetic[2][vehicles]
+    out["heading"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0) % 360
+    out["throttle"] = np.clip(world.dynamics.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0, 100)
+    return out
+
+
+@_message(position=True)
+def _position_target_local_ned(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("POSITION_TARGET_LOCAL_NED", vehicles)
+    dynamics = world.dynamics
+    out["time_boot_ms"] = _ms(world, vehicles)
+    out["coordinate_frame"] = 1
+    target = dynamics.pos_sp_enu_m[:, vehicles] - world.origin_enu_m[:, vehicles]
+    held = dynamics.pos_mask[:, vehicles] > 0
+    target = np.where(held, target, np.nan)
+    out["x"], out["y"], out["z"] = target[1], target[0], -target[2]
+    vel = dynamics.vel_sp_enu_m_s[:, vehicles]
+    out["vx"], out["vy"], out["vz"] = vel[1], vel[0], -vel[2]
+    out["yaw"] = math.pi / 2.0 - dynamics.yaw_sp_enu_rad[vehicles]
+    return out
+
+
+@_message()
+def _extended_sys_state(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("EXTENDED_SYS_STATE", vehicles)
+    out["landed_state"] = [pilot.landed_state() for pilot in _each(world, vehicles)]
+    return out
+
+
+@_message()
+def _estimator_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("ESTIMATOR_STATUS", vehicles)
+    out["time_usec"] = _us(world, vehicles)
+    good = world.has_position[vehicles] & ~world.invalid[vehicles]
+    # attitude; with a position: velocities, positions (relative, absolute), heights, predictions
+    out["flags"] = np.where(good, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x1 | 0x80)
+    for name, value in (("vel_ratio", 0.03), ("pos_horiz_ratio", 0.02), ("pos_vert_ratio", 0.03)):
+        out[name] = np.where(good, value, 2.0)
+    out["mag_ratio"] = 0.01
+    out["pos_horiz_accuracy"], out["pos_vert_accuracy"] = 0.3, 0.4
+    return out
+
+
+@_message()
+def _ekf_status_report(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("EKF_STATUS_REPORT", vehicles)
+    good = world.has_position[vehicles] & ~world.invalid[vehicles]
+    out["flags"] = np.where(good, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x1 | 0x80 | 0x400)
+    for name in ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance"):
+        out[name] = np.where(good, 0.02, 1.2)
+    return out
+
+
+@_message()
+def _battery_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("BATTERY_STATUS", vehicles)
+    for row, pilot in zip(out, _each(world, vehicles), strict=True):
+        battery = pilot.battery
+        row["current_consumed"] = int(battery.used_mah())
+        row["energy_consumed"] = -1
+        row["temperature"] = 2500
+        cells = [65535] * 10
+        cells[: battery.cells] = [int(battery.voltage_v / battery.cells * 1000)] * battery.cells
+        row["voltages"] = cells
+        row["current_battery"] = int(battery.current_a * 100)
+        row["battery_function"], row["type"] = 1, 1
+        row["battery_remaining"] = battery.percent()
+        row["charge_state"] = 1 if battery.left > 0.15 else 2
+    return out
+
+
+@_message(position=True)
+def _home_position(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("HOME_POSITION", vehicles)
+    home = world.home_enu_m[:, vehicles]
+    lat, lon, alt = world.geodesy.geodetic_from_enu(home)
+    out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
+    out["altitude"] = np.rint(alt * 1000.0)
+    local = home - world.origin_enu_m[:, vehicles]
+    out["x"], out["y"], out["z"] = local[1], local[0], -local[2]
+    out["q"] = view.quat_ned_from_frd[:, vehicles].T
+    out["time_usec"] = _us(world, vehicles)
+    return out
+
+
+@_message(position=True)
+def _gps_global_origin(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = _rows("GPS_GLOBAL_ORIGIN", vehicles)
+    lat, lon, alt = world.geodesy.geodetic_from_enu(world.origin_enu_m[:, vehicles])
+    out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
+    out["altitude"] = np.rint(alt * 1000.0)
+    out["time_usec"] = _us(world, vehicles)
+    return out
+
+
+@_message()
+def _hil_state_quaternion(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    """The simulator's truth, not the estimate."""
+    out = _rows("HIL_STATE_QUATERNION", vehicles)
+    dynamics = world.dynamics
+    out["time_usec"] = _us(world, vehicles)
+    out["attitude_quaternion"] = world.true_quat()[:, vehicles].T
+    lat, lon, alt = world.geodesy.geodetic_from_enu(dynamics.pos_enu_m[:, vehicles])
+    out["lat"], out["lon"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
+    out["alt"] = np.rint(alt * 1000.0)
+    vel = np.clip(dynamics.vel_enu_m_s[:, vehicles] * 100.0, -32767, 32767)
+    out["vx"], out["vy"], out["vz"] = np.rint(vel[1]), np.rint(vel[0]), np.rint(-vel[2])
+    acc = np.clip(dynamics.acc_enu_m_s2[:, vehicles] / 9.80665 * 1000.0, -32767, 32767)
+    out["xacc"], out["yacc"], out["zacc"] = np.rint(acc[1]), np.rint(acc[0]), np.rint(-acc[2])
+    return out

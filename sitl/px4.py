@@ -1,0 +1,459 @@
+"""PX4's behaviour: modes, arming, OFFBOARD and its loss, takeoff, landing, acknowledgements.
+
+Follows what PX4 main of mid 2025 was seen to do. Modes that need sticks exist in name only: without sticks nothing
+can be flown in them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+from groundstation.mavlink.codec import Frame
+from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot, Setpoint
+from sitl.frames import is_place
+from sitl.params import px4_params
+from sitl.protocol import (
+    ACCEPTED,
+    DENIED,
+    MSG_SET_GPS_GLOBAL_ORIGIN,
+    MSG_SET_MODE,
+    MSG_SET_POSITION_TARGET_LOCAL_NED,
+    TEMPORARILY_REJECTED,
+)
+from sitl.wire import Fields, whole
+
+if TYPE_CHECKING:
+    from sitl.world import VehicleConfig, World
+
+Mode = tuple[int, int]
+MANUAL, ALTCTL, POSCTL, ACRO, OFFBOARD, STABILIZED = (1, 0), (2, 0), (3, 0), (5, 0), (6, 0), (7, 0)
+TAKEOFF, LOITER, MISSION, RTL, LAND = (4, 2), (4, 3), (4, 4), (4, 5), (4, 6)
+_MODES = {MANUAL, ALTCTL, POSCTL, ACRO, OFFBOARD, STABILIZED, TAKEOFF, LOITER, MISSION, RTL, LAND}
+_NAMES = {OFFBOARD: "Offboard", MISSION: "Mission"}
+_NEED_POSITION = {POSCTL, OFFBOARD, TAKEOFF, LOITER, MISSION, RTL, LAND}
+
+CRITICAL, INFO = 2, 6
+_SINK_M_S = 0.55
+_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x8000 | 0x1000000 | 0x2000000  # gyro, accel, mag, baro, gps, motors, ...
+_AHRS, _PREARM = 0x200000, 0x10000000
+_FRAME_LOCAL, _FRAME_BODY = 1, 8
+
+
+class Px4(Autopilot):
+    """One vehicle under PX4.
+
+    Attributes:
+        intention: the mode that the user asked for; it outlives failsafes.
+        failsafe: the mode that acts instead of it, None while there is none.
+    """
+
+    mav_autopilot = 12
+    param_bytewise = True
+    version_fields: ClassVar[Fields] = {
+        "capabilities": 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x100 | 0x800 | 0x2000,
+        "flight_sw_version": 0x01110000,
+        "middleware_sw_version": 0x01110000,
+        "os_sw_version": 0x060800FF,
+        "board_version": 1 << 16,
+        "flight_custom_version": b"\x01\x17gssitl",
+    }
+
+    def __init__(self, world: World, index: int, config: VehicleConfig, boot: Boot) -> None:
+        super().__init__(world, index, config, px4_params(config.sysid), boot)
+        self.intention: Mode = LOITER
+        self.failsafe: Mode | None = None
+        self._entered: Mode | None = None
+        self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self._takeoff_to: tuple[float, float, float] | None = None
+        self._rtl_stage = 0
+        self._last_vz_enu = 0.0
+        self.messages.update(
+            {
+                MSG_SET_MODE: self._on_set_mode,
+                MSG_SET_POSITION_TARGET_LOCAL_NED: self._on_setpoint,
+                MSG_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
+            }
+        )
+        self.commands.update(
+            {
+                20: lambda _p, _f: self._change_mode(RTL),
+                21: lambda _p, _f: self._change_mode(LAND),
+                22: self._takeoff_command,
+                176: self._mode_command,
+                178: self._speed_command,
+                192: self._reposition,
+                300: lambda _p, _f: self._change_mode(MISSION),
+                401: lambda _p, _f: ACCEPTED,
+            }
+        )
+
+    # -- heartbeat ----------------------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> Mode:
+        """The mode that acts, and is shown."""
+        return self.failsafe or self.intention
+
+    def base_mode(self) -> int:
+        """MAV_MODE_FLAG bits of the heartbeat."""
+        main = self.mode[0]
+        flags = 0x1 | (0x80 if self.armed else 0)
+        if main in (1, 5):
+            return flags | 0x40
+        if main in (2, 3, 7):
+            return flags | 0x40 | 0x10
+        return flags | 0x10 | 0x8 | 0x4
+
+    def custom_mode(self) -> int:
+        """Sub mode << 24, main mode << 16."""
+        main, sub = self.mode
+        return sub << 24 | main << 16
+
+    def system_status(self) -> int:
+        """UNINIT while arming in this mode would be refused, then STANDBY, ACTIVE, CRITICAL in a failsafe."""
+        if self.armed:
+            return 5 if self.failsafe else 4
+        return 3 if self.arm_refusal() is None else 0
+
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+        if self.landed:
+            return LANDED
+        if self.mode == TAKEOFF:
+            return TAKING_OFF
+        return LANDING if self.mode == LAND or (self.mode == RTL and self._rtl_stage == 2) else IN_AIR
+
+    def sensor_bits(self) -> tuple[int, int, int]:
+        """SYS_STATUS sensors: present, enabled, healthy."""
+        health = _SENSORS | (_AHRS if self.has_position else 0) | (_PREARM if self.ready else 0)
+        present = _SENSORS | _AHRS | _PREARM
+        return present, present, health
+
+    # -- arming -------------------------------------------------------------------------------------------------
+
+    def setpoint_alive(self) -> bool:
+        """Whether the last setpoint is younger than COM_OF_LOSS_T."""
+        point = self.setpoint
+        return point is not None and self.world.now_ns - point.t_ns <= self.params["COM_OF_LOSS_T"] * SECOND
+
+    def arm_refusal(self) -> str | None:
+        """Why arming would be refused."""
+        if self.deny_arming:
+            return "Preflight Fail: Sensor 0 missing"
+        if not self.ready:
+            return "Preflight Fail: ekf2 missing data" if not self.has_position else ""
+        if self.mode == OFFBOARD and not self.setpoint_alive():
+            return ""
+        if self.mode in (LAND, RTL):
+            return ""
+        return None
+
+    def try_arm(self, forced: bool) -> int:
+        """Arms on request."""
+        if self.armed:
+            return ACCEPTED
+        why = None if forced else self.arm_refusal()
+        if why is not None:
+            if why:
+                self.text(CRITICAL, why + "\t")
+            self.text(CRITICAL, "Arming denied: Resolve system health failures first\t")
+            return TEMPORARILY_REJECTED
+        self.arm()
+        self.failsafe = None
+        self._entered = None
+        self.text(INFO, "Armed by external command\t")
+        return ACCEPTED
+
+    def try_disarm(self, forced: bool) -> int:
+        """Disarms on request; in the air only by force."""
+        if not self.armed:
+            return ACCEPTED
+        if not forced and not self.landed:
+            self.text(CRITICAL, "Disarming denied: not landed\t")
+            return TEMPORARILY_REJECTED
+        self.disarm()
+        self.text(INFO, "Disarmed by external command\t")
+        return ACCEPTED
+
+    def disarm(self) -> None:
+        """Stops the motors; a failsafe ends with the flight."""
+        super().disarm()
+        self.failsafe = None
+
+    # -- modes --------------------------------------------------------------------------------------------------
+
+    def _change_mode(self, mode: Mode) -> int:
+        flying = self.armed and not self.landed
+        if flying and ((mode == OFFBOARD and not self.setpoint_alive()) or (mode == MISSION and not self.mission)):
+            name = _NAMES[mode]
+            self.text(CRITICAL, f"Switching to mode '{name}' is currently not possible\t")
+            return TEMPORARILY_REJECTED
+        if flying and mode in _NEED_POSITION and not self.has_position:
+            return TEMPORARILY_REJECTED
+        self.intention = mode
+        self.failsafe = None
+        self._entered = None
+        if mode == TAKEOFF and self._takeoff_to is None:
+            self._takeoff_to = self._takeoff_target(math.nan, math.nan, math.nan)
+        return ACCEPTED
+
+    def _mode_command(self, params: tuple[float, ...], _frame: Frame) -> int:
+        if not whole(params[0]) & 1:
+            return DENIED
+        mode = (whole(params[1]), whole(params[2]) if whole(params[1]) == 4 else 0)
+        return self._change_mode(mode) if mode in _MODES else DENIED
+
+    def _on_set_mode(self, fields: Fields, _frame: Frame) -> None:
+        if fields["base_mode"] & 1:
+            mode = (fields["custom_mode"] >> 16 & 0xFF, fields["custom_mode"] >> 24)
+            if mode in _MODES:
+                self._change_mode(mode)
+
+    def _takeoff_target(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> tuple[float, float, float]:
+        """Where a takeoff ends, ENU; heights below MIS_TAKEOFF_ALT are raised to it, as PX4 does."""
+        world = self.world
+        x, y, z = self.pos_est()
+        home_z = float(world.home_enu_m[2, self.index])
+        lowest = (z if self.landed else home_z) + self.params["MIS_TAKEOFF_ALT"]
+        if not abs(alt_amsl_m) <= 100_000.0:  # NaN, most of all: "as usual"
+            self.text(INFO, f"Using default takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
+            top = lowest
+        else:
+            top = alt_amsl_m - world.config.home_alt_m
+            if top < lowest - 0.1:
+                self.text(CRITICAL, f"Using minimum takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
+            top = max(top, lowest)
+        if is_place(lat_deg, lon_deg, 0.0):
+            x, y, _ = world.geodesy.enu_from_geodetic(lat_deg, lon_deg, world.config.home_alt_m).tolist()
+        return x, y, max(top, z)
+
+    def _takeoff_command(self, params: tuple[float, ...], _frame: Frame) -> int:
+        if not self.has_position:
+            return TEMPORARILY_REJECTED
+        self._takeoff_to = self._takeoff_target(params[4], params[5], params[6])
+        return self._change_mode(TAKEOFF)
+
+    def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
+        if params[1] > 0:
+            self.limit_speed(xy_m_s=params[1])
+        return ACCEPTED
+
+    def _reposition(self, params: tuple[float, ...], _frame: Frame) -> int:
+        if not self.has_position or not self.armed or self.landed:
+            return DENIED
+        x, y, z = self.pos_est()
+        lat, lon, alt = params[4:7]
+        if is_place(lat, lon, 0.0):
+            x, y, _ = self.world.geodesy.enu_from_geodetic(lat, lon, self.world.config.home_alt_m).tolist()
+        if abs(alt) <= 100_000.0:
+            z = alt - self.world.config.home_alt_m
+        self._change_mode(LOITER)
+        self._entered, self._hold = LOITER, (x, y, z)
+        self.command(self._hold, (None, None, None))
+        return ACCEPTED
+
+    # -- setpoints ----------------------------------------------------------------------------------------------
+
+    def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
+        frame = fields["coordinate_frame"]
+        if frame not in (_FRAME_LOCAL, _FRAME_BODY):
+            self.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {frame} unsupported\t")
+            return
+        mask = fields["type_mask"]
+        north, east, down = (
+            None if mask & (8 << axis) or not math.isfinite(fields[name]) else fields[name]
+            for axis, name in enumerate(("vx", "vy", "vz"))
+        )
+        x, y, z = (
+            None if mask & (1 << axis) or not math.isfinite(fields[name]) else fields[name]
+            for axis, name in enumerate(("x", "y", "z"))
+        )
+        yaw_enu = self.yaw_enu()
+        if frame == _FRAME_BODY:
+            x = y = z = None  # positions in the body frame are not supported
+            if north is not None and east is not None:
+                # forward and right turned by the heading alone; heading from east is pi/2 - yaw
+                c, s = math.sin(yaw_enu), math.cos(yaw_enu)
+                north, east = c * north - s * east, s * north + c * east
+        if north is None and east is None and down is None and x is None and y is None and z is None:
+            return
+        origin = self.world.origin_enu_m[:, self.index].tolist()
+        pos = (
+            None if y is None else origin[0] + y,
+            None if x is None else origin[1] + x,
+            None if z is None else origin[2] - z,
+        )
+        vel = (east, north, None if down is None else -down)
+        yaw = None if mask & 0x400 or not math.isfinite(fields["yaw"]) else math.pi / 2.0 - fields["yaw"]
+        rate = None if mask & 0x800 or not math.isfinite(fields["yaw_rate"]) else -fields["yaw_rate"]
+        self.setpoint = Setpoint(self.world.now_ns, pos, vel, yaw, rate if yaw is None else None)
+        if self.mode == OFFBOARD and self.armed:
+            self._fly_setpoint()
+
+    def _fly_setpoint(self) -> None:
+        point = self.setpoint
+        if point is None:
+            return
+        vel = point.vel_enu_m_s
+        self.command(point.pos_enu_m, vel, point.yaw_enu_rad, point.yaw_rate_rad_s)
+        self._last_vz_enu = vel[2] or 0.0
+
+    def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
+        """Moves the estimator's origin, and LOCAL_POSITION_NED with it."""
+        lat, lon, alt = fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
+        if not self.has_position or not is_place(lat, lon, alt):
+            return
+        world = self.world
+        world.origin_enu_m[:, self.index] = world.geodesy.enu_from_geodetic(lat, lon, alt)
+        world.send_now(self.index, "GPS_GLOBAL_ORIGIN")
+
+    # -- flight -------------------------------------------------------------------------------------------------
+
+    def wants_up(self) -> bool:
+        """Whether the present mode wants to leave the ground."""
+        mode = self.mode
+        if mode == OFFBOARD:
+            point = self.setpoint
+            if point is None or not self.setpoint_alive():
+                return False
+            up, top = point.vel_enu_m_s[2], point.pos_enu_m[2]
+            return (up is not None and up > 0.0) or (top is not None and top > self.pos_est()[2] + 0.05)
+        return mode in (TAKEOFF, MISSION)
+
+    def wants_down(self) -> bool:
+        """Whether the present mode pushes towards the ground."""
+        mode = self.mode
+        if mode == OFFBOARD:
+            point = self.setpoint
+            if point is None:
+                return False
+            down, bottom = point.vel_enu_m_s[2], point.pos_enu_m[2]
+            if bottom is not None:
+                return bottom < self.pos_est()[2] - 0.05
+            return down is not None and down < -0.02
+        return mode == LAND or self.failsafe is not None or (mode == RTL and self._rtl_stage == 2)
+
+    def update(self, now_ns: int) -> None:
+        """Checks what may end a mode, then lets the mode act."""
+        if not self.armed:
+            return
+        self._check_offboard()
+        self._disarm_by_itself(now_ns)
+        if not self.armed:
+            return
+        dynamics, i = self.world.dynamics, self.index
+        if self.landed and not dynamics.flying[i]:
+            spooled = now_ns - self.armed_ns >= self.params["COM_SPOOLUP_TIME"] * SECOND
+            if spooled and not self.taken_off and self.wants_up():
+                self.set_flying(True)
+                self._entered = None
+            return
+        if self.landed and not self.wants_up():
+            self.set_flying(False)
+            return
+        self._act(now_ns)
+
+    def _check_offboard(self) -> None:
+        if self.intention != OFFBOARD:
+            return
+        alive = self.setpoint_alive()
+        if self.failsafe is None and not alive:
+            self.failsafe = POSCTL
+            self._entered = None
+            self.text(CRITICAL, "Failsafe activated\t")
+        elif self.failsafe is not None and alive:
+            self.failsafe = None
+            self._entered = None
+
+    def _disarm_by_itself(self, now_ns: int) -> None:
+        if not self.landed:
+            return
+        if self.taken_off:
+            wait, words = self.params["COM_DISARM_LAND"], "Disarmed by landing\t"
+            since = self.landed_ns
+        else:
+            # 10 s by parameter, counted once the motors have spun up: 10.8 s were seen
+            wait, words = self.params["COM_DISARM_PRFLT"] + 0.8, "Disarmed by auto preflight disarming\t"
+            since = self.armed_ns
+        if wait > 0 and now_ns - since >= wait * SECOND:
+            self.disarm()
+            self.text(INFO, words)
+
+    def _act(self, now_ns: int) -> None:
+        mode = self.mode
+        entering = self._entered != mode
+        self._entered = mode
+        if mode == OFFBOARD:
+            if entering:
+                self._fly_setpoint()
+        elif mode == TAKEOFF:
+            self._act_takeoff(entering)
+        elif mode == LAND:
+            self._act_land(entering)
+        elif mode == RTL:
+            self._act_rtl(entering)
+        elif mode == MISSION:
+            self.act_mission(entering)
+        elif entering:
+            x, y, z = self._hold = self.pos_est()
+            self.limit_speed()
+            if self.failsafe is not None:
+                self.command((x, y, None), (None, None, -_SINK_M_S))
+            else:
+                self.command((x, y, z), (None, None, None))
+
+    def _act_takeoff(self, entering: bool) -> None:
+        target = self._takeoff_to or self.pos_est()
+        if entering:
+            self.limit_speed(up=self.params["MPC_TKO_SPEED"])
+            self.command(target, (None, None, None))
+        x, y, z = self.pos_est()
+        start = float(self.world.dynamics.ground_m[self.index])
+        if not self.landed and z > target[2] - min(0.8, 0.2 * (target[2] - start)):
+            # the altitude counts as reached within NAV_MC_ALT_RAD; Hold keeps the takeoff's altitude
+            self._takeoff_to = None
+            self.intention = self._entered = LOITER
+            self._hold = (x, y, target[2])
+            self.command(self._hold, (None, None, None))
+
+    def _act_land(self, entering: bool) -> None:
+        x, y, z = self.pos_est()
+        if entering:
+            self._hold = (x, y, z)
+            self.limit_speed()
+        height = z - float(self.world.home_enu_m[2, self.index])
+        slow, fast = self.params["MPC_LAND_SPEED"], self.params["MPC_Z_V_AUTO_DN"]
+        share = min(max((height - 5.0) / 5.0, 0.0), 1.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1
+        speed = min(slow + share * (fast - slow), self.world.profile_of(self.index).speed_down_max_m_s)
+        self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
+
+    def _act_rtl(self, entering: bool) -> None:
+        x, y, z = self.pos_est()
+        home = self.world.home_enu_m[:, self.index].tolist()
+        far = math.hypot(x - home[0], y - home[1])
+        if entering:
+            self._rtl_stage = 0
+            top = max(z, home[2] + self.params["RTL_RETURN_ALT"]) if far > 5.0 else z
+            self._hold = (x, y, top)
+            self.limit_speed()
+        if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
+            self._rtl_stage = 1
+            self._hold = (home[0], home[1], self._hold[2])
+        if self._rtl_stage == 1 and far < 0.5:
+            self._rtl_stage = 2
+            self._hold = (home[0], home[1], z)
+        if self._rtl_stage == 2:
+            self._act_land(False)
+        else:
+            self.command(self._hold, (None, None, None))
+
+    def act_mission(self, entering: bool) -> None:
+        """Flies the stored mission; holds while there is none."""
+        if entering:
+            self._hold = self.pos_est()
+            self.command(self._hold, (None, None, None))
+
+    def unknown_param(self, name: str) -> None:
+        """PX4 tells so and sends no value."""
+        self.text(3, f"[pm] unknown param: {name}\t")

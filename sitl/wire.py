@@ -1,0 +1,61 @@
+"""Messages in and out of one emulated vehicle: fields by name on this side, frames on the other.
+
+A thin layer over the codec for single messages, as a small autopilot needs them. Refuses to interpret anything.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+from groundstation.mavlink.codec import Frame, Layout, layout, message_name
+
+Fields = dict[str, Any]
+
+
+@cache
+def _layout_of(msgid: int) -> Layout | None:
+    name = message_name(msgid)
+    return layout(name) if name else None
+
+
+def unpack(frame: Frame) -> Fields | None:
+    """Reads a frame's fields: numbers, tuples for arrays, bytes up to the first NUL for texts.
+
+    Returns:
+        The fields in wire units, extensions included (0 when absent); None for an id that the dialect does not know.
+    """
+    known = _layout_of(frame.msgid)
+    if known is None:
+        return None
+    size = known.size
+    values = known.packer.unpack(frame.payload[:size].ljust(size, b"\0"))
+    fields: Fields = {}
+    position = 0
+    for name, length in zip(known.field_names, known.array_lengths, strict=True):
+        value = values[position]
+        if isinstance(value, bytes):
+            fields[name] = value.split(b"\0", 1)[0]
+            position += 1
+        elif length:
+            fields[name] = values[position : position + length]
+            position += length
+        else:
+            fields[name] = value
+            position += 1
+    return fields
+
+
+def whole(value: float) -> int:
+    """Nearest integer of a command parameter; what is not a number, which means "not given", is 0."""
+    return round(value) if math.isfinite(value) else 0
+
+
+def unpack_raw(frame: Frame) -> tuple[Any, ...]:
+    """Reads the fields of a frame of a known type in wire order, arrays flattened; for messages that come often."""
+    known = _layout_of(frame.msgid)
+    if known is None:
+        raise KeyError(frame.msgid)
+    size = known.size
+    return known.packer.unpack(frame.payload[:size].ljust(size, b"\0"))

@@ -1,0 +1,463 @@
+"""The emulated world: vehicles, their autopilots, their links, one clock; bytes and times in, bytes out.
+
+``receive`` hands in what a ground station sent to a vehicle, ``advance`` moves everything to a time and returns what
+the vehicles sent on the way. The same seed and the same calls give the same bytes. Refuses to read a clock, to open
+sockets and to draw unseeded numbers.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.mavlink.codec import Frame, FrameSplitter, encode_batch
+from sitl import frames
+from sitl.autopilot import Autopilot, Boot
+from sitl.dynamics import Dynamics
+from sitl.environment import Downwash, Wind
+from sitl.estimator import MOCAP, Estimator, Noise
+from sitl.frames import Array, Geodesy
+from sitl.messages import MAKERS, NEEDS_GPS, NEEDS_POSITION
+from sitl.network import PERFECT, Channel, LinkConfig
+from sitl.profiles import PROFILES, Profile
+from sitl.px4 import Px4
+from sitl.telemetry import Streams, View
+
+SECOND = 1_000_000_000
+_TICK_NS = 20_000_000
+_DATAGRAM_BYTES = 1200
+
+
+class Outgoing(NamedTuple):
+    """One datagram of one vehicle, at the time at which it arrives at the ground."""
+
+    t_ns: int
+    vehicle_index: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """One emulated vehicle.
+
+    Attributes:
+        sysid: MAVLink system id, 1 to 255.
+        autopilot: "px4" or "arducopter".
+        profile: name in ``sitl.profiles.PROFILES``.
+        pad_enu_m: where it stands, in the world's frame.
+        yaw_enu_rad: heading from east counter-clockwise.
+        noise: errors of its estimate.
+        streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links) or "ardupilot".
+        mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
+        gps: whether it has a GPS receiver.
+    """
+
+    sysid: int
+    autopilot: str = "px4"
+    profile: str = "crazyflie"
+    pad_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_enu_rad: float = 0.0
+    noise: Noise = MOCAP
+    streams: str = "onboard"
+    mavlink_version: int = 2
+    gps: bool = True
+
+
+@dataclass(frozen=True)
+class WindConfig:
+    """Mean wind, ENU m/s, and gusts."""
+
+    mean_enu_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gust_sigma_m_s: float = 0.0
+    gust_tau_s: float = 2.0
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Everything about a world but its seed.
+
+    Attributes:
+        vehicles: in the order of their indices.
+        physics_step_ns: physics step; the autopilots tick every 20 ms.
+        start_ns: the clock at power-up of all vehicles.
+        uplink, downlink: links to and from each vehicle.
+        home_lat_deg, home_lon_deg, home_alt_m: where the world's frame has its origin.
+        unix_start_us: date at power-up.
+        real_boot: start-up takes as long as the real one.
+        wind, downwash: options of the air.
+    """
+
+    vehicles: Sequence[VehicleConfig]
+    physics_step_ns: int = 4_000_000
+    start_ns: int = 0
+    uplink: LinkConfig = PERFECT
+    downlink: LinkConfig = PERFECT
+    home_lat_deg: float = 47.397742
+    home_lon_deg: float = 8.545594
+    home_alt_m: float = 488.0
+    unix_start_us: int = 1_750_000_000_000_000
+    real_boot: bool = False
+    wind: WindConfig | None = None
+    downwash: bool = False
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is, whatever the vehicles believe.
+
+    Attributes:
+        pos_enu_m, vel_enu_m_s: shape (n, 3).
+        quat_ned_from_frd: shape (n, 4), w x y z.
+        airborne, armed: shape (n,) bool.
+    """
+
+    pos_enu_m: Array
+    vel_enu_m_s: Array
+    quat_ned_from_frd: Array
+    airborne: NDArray[np.bool_]
+    armed: NDArray[np.bool_]
+
+    @property
+    def quat(self) -> Array:
+        """The same as ``quat_ned_from_frd``."""
+        return self.quat_ned_from_frd
+
+
+@dataclass(order=True)
+class _Arrival:
+    t_ns: int
+    order: int
+    vehicle: int = field(compare=False)
+    peer: str = field(compare=False)
+    data: bytes = field(compare=False)
+
+
+class World:
+    """n vehicles and their clock.
+
+    Args:
+        config: see ``WorldConfig``.
+        seed: of every random number in it.
+
+    Attributes:
+        now_ns: the clock.
+        dynamics, estimator, streams, geodesy: its parts.
+        autopilots: one per vehicle.
+        origin_enu_m, home_enu_m: of each estimator, and home, shape (3, n).
+        has_position: estimator is ready, shape (n,).
+        talking: has sent its first bytes, shape (n,).
+        frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
+    """
+
+    def __init__(self, config: WorldConfig, seed: int) -> None:
+        n = len(config.vehicles)
+        _check(config)
+        self.config, self.n = config, n
+        self.now_ns = config.start_ns
+        seeds = np.random.SeedSequence(seed).spawn(4 + 2 * n)
+        rng_estimate, rng_wind, rng_boot = (np.random.default_rng(s) for s in seeds[:3])
+        self.rng_faults = np.random.default_rng(seeds[3])
+        step_s = config.physics_step_ns / SECOND
+        self.profiles = tuple(PROFILES[vehicle.profile] for vehicle in config.vehicles)
+        self.estimator = Estimator([vehicle.noise for vehicle in config.vehicles], step_s, rng_estimate)
+        pads = np.array([vehicle.pad_enu_m for vehicle in config.vehicles], dtype=np.float64).T.copy()
+        yaws = np.array([vehicle.yaw_enu_rad for vehicle in config.vehicles], dtype=np.float64)
+        self.dynamics = Dynamics(
+            self.profiles,
+            pos_enu_m=pads,
+            yaw_enu_rad=yaws,
+            estimator=self.estimator,
+            step_s=step_s,
+            wind=self._wind(rng_wind, step_s),
+            downwash=self._downwash(),
+        )
+        self.geodesy = Geodesy(config.home_lat_deg, config.home_lon_deg, config.home_alt_m)
+        self.streams = Streams(tuple(MAKERS), n, config.start_ns)
+        self.origin_enu_m, self.home_enu_m = pads.copy(), pads.copy()
+        self.has_position = np.zeros(n, dtype=bool)
+        self.talking = np.zeros(n, dtype=bool)
+        self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self.frozen_pos_enu_m = pads.copy()
+        self.has_gps = np.array([vehicle.gps for vehicle in config.vehicles])
+        self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
+        self.clock_offset_ns = np.zeros(n, dtype=np.int64)
+        self._boot_ns = np.full(n, config.start_ns, dtype=np.int64)
+        self._uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
+        self._downlinks = [Channel(config.downlink, np.random.default_rng(s)) for s in seeds[4 + n :]]
+        self._incoming: list[_Arrival] = []
+        self._outgoing: list[_Arrival] = []
+        self._order = 0
+        self._sent: list[Outgoing] = []
+        self._pending: dict[int, list[bytes]] = {}
+        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._view: View | None = None
+        self._next_tick_ns = self.now_ns
+        self._rng_boot = rng_boot
+        self.autopilots: list[Autopilot] = [self._power_up(i) for i in range(n)]
+        self._pairs = np.triu_indices(n, 1)
+        self._history: list[tuple[Array, NDArray[np.bool_]]] = []
+        self._min_distance_m = math.inf
+
+    # -- interface ----------------------------------------------------------------------------------------------
+
+    def receive(self, vehicle_index: int, data: bytes, now_ns: int, ground_station: str = "gcs") -> None:
+        """Takes one datagram from a ground station; it acts at the next physics step after its way up.
+
+        Args:
+            vehicle_index: whose link it was sent to.
+            data: as received; noise is skipped.
+            now_ns: when it was sent, not before the last ``advance``.
+            ground_station: any name that tells senders apart.
+        """
+        for t_ns, arrived in self._uplinks[vehicle_index].carry(now_ns, data):
+            self._order += 1
+            heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived))
+
+    def advance(self, now_ns: int) -> list[Outgoing]:
+        """Moves the world to a time, in whole physics steps.
+
+        Returns:
+            What arrived at the ground until then, in order of arrival.
+        """
+        step_ns = self.config.physics_step_ns
+        self._sent = []
+        while self.now_ns + step_ns <= now_ns:
+            self.now_ns += step_ns
+            self._step()
+        self._measure_distances()
+        return self._sent
+
+    @property
+    def truth(self) -> Truth:
+        """A copy of the true state."""
+        dynamics = self.dynamics
+        return Truth(
+            pos_enu_m=dynamics.pos_enu_m.T.copy(),
+            vel_enu_m_s=dynamics.vel_enu_m_s.T.copy(),
+            quat_ned_from_frd=self.true_quat().T.copy(),
+            airborne=dynamics.airborne(),
+            armed=np.array([pilot.armed for pilot in self.autopilots]),
+        )
+
+    @property
+    def min_distance_airborne_m(self) -> float:
+        """Smallest distance of two vehicles that were both off the ground; infinite before there were two."""
+        self._measure_distances()
+        return self._min_distance_m
+
+    def reset_min_distance(self) -> None:
+        """Forgets the smallest distance."""
+        self._history.clear()
+        self._min_distance_m = math.inf
+
+    @property
+    def any_invalid(self) -> bool:
+        """Whether any vehicle's position is not a number now."""
+        return bool(self.invalid.any())
+
+    # -- what the parts use -------------------------------------------------------------------------------------
+
+    def profile_of(self, index: int) -> Profile:
+        """Dynamics profile of a vehicle."""
+        return self.profiles[index]
+
+    def vehicle_time_ns(self) -> NDArray[np.int64]:
+        """Time since power-up as each vehicle counts it, shape (n,)."""
+        return np.asarray(self.now_ns - self._boot_ns + self.clock_offset_ns)
+
+    def vehicle_time_of(self, index: int) -> int:
+        """The same for one vehicle."""
+        return int(self.now_ns - self._boot_ns[index] + self.clock_offset_ns[index])
+
+    def unix_us(self) -> int:
+        """The date, microseconds."""
+        return self.config.unix_start_us + (self.now_ns - self.config.start_ns) // 1000
+
+    def true_quat(self) -> Array:
+        """True attitude, FRD to NED, shape (4, n)."""
+        yaw = frames.yaw_ned_from_enu(self.dynamics.yaw_enu_rad)
+        return frames.quat_from_euler(*frames.euler_from_thrust(self.dynamics.up_enu, yaw), yaw)
+
+    def emit(self, index: int, frame: bytes) -> None:
+        """Takes a frame that a vehicle sends now."""
+        if self.talking[index]:
+            self._pending.setdefault(index, []).append(frame)
+
+    def send_now(self, index: int, name: str) -> bool:
+        """Sends one message of a streamed type out of turn. Returns whether it could be made."""
+        return self._make(name, np.array([index])) == 1
+
+    def reboot(self, index: int) -> None:
+        """Powers a vehicle off and on again."""
+        pilot = self.autopilots[index]
+        self._flush()
+        pilot.disarm()
+        self.talking[index] = self.has_position[index] = False
+        self._boot_ns[index] = self.now_ns
+        self.clock_offset_ns[index] = 0
+        for name in self.streams.names:
+            self.streams.set_interval(index, name, 0, self.now_ns)
+        fresh = self._power_up(index)
+        fresh.params, fresh.mission, fresh.battery = pilot.params, pilot.mission, pilot.battery
+        fresh.landed = bool(self.dynamics.on_ground[index])
+        self.autopilots[index] = fresh
+
+    # -- one step -----------------------------------------------------------------------------------------------
+
+    def _step(self) -> None:
+        self._view = None
+        self.dynamics.step()
+        if not self.dynamics.all_on_ground:
+            self._history.append((self.dynamics.pos_enu_m.copy(), self.dynamics.airborne()))
+            if len(self._history) >= 64:
+                self._measure_distances()
+        while self._incoming and self._incoming[0].t_ns <= self.now_ns:
+            self._hand_over(heapq.heappop(self._incoming))
+        if self.now_ns >= self._next_tick_ns:
+            dt_s = _TICK_NS / SECOND
+            for pilot in self.autopilots:
+                pilot.tick(self.now_ns, dt_s)
+            self._next_tick_ns += _TICK_NS
+        for name, vehicles in self.streams.take_due(self.now_ns):
+            self._make(name, vehicles)
+        self._flush()
+        while self._outgoing and self._outgoing[0].t_ns <= self.now_ns:
+            late = heapq.heappop(self._outgoing)
+            self._sent.append(Outgoing(late.t_ns, late.vehicle, late.data))
+
+    def _hand_over(self, arrival: _Arrival) -> None:
+        pilot = self.autopilots[arrival.vehicle]
+        if not pilot.powered or not self.talking[arrival.vehicle]:
+            return
+        key = (arrival.vehicle, arrival.peer)
+        splitter = self._splitters.get(key)
+        if splitter is None:
+            splitter = self._splitters[key] = FrameSplitter()
+        for piece in splitter.feed(arrival.data):
+            if isinstance(piece, Frame):
+                self.autopilots[arrival.vehicle].receive(piece)
+
+    def _make(self, name: str, vehicles: NDArray[np.int64]) -> int:
+        """Makes one message type for some vehicles; returns how many were sent."""
+        able = self.talking[vehicles]
+        if name in NEEDS_POSITION:
+            able &= self.has_position[vehicles]
+        if name in NEEDS_GPS:
+            able &= self.has_gps[vehicles]
+        if name in self.muted:
+            able &= ~self.muted[name][vehicles]
+        if not able.all():
+            vehicles = vehicles[able]
+        if not len(vehicles):
+            return 0
+        if self._view is None:
+            self._view = View(self)
+        encoders = [self.autopilots[i].encoder for i in vehicles]
+        for i, frame in zip(
+            vehicles.tolist(), encode_batch(name, MAKERS[name](self, self._view, vehicles), encoders), strict=True
+        ):
+            self._pending.setdefault(i, []).append(frame)
+        return len(vehicles)
+
+    def _flush(self) -> None:
+        """Puts what each vehicle has to send onto its link, as few datagrams as fit."""
+        if not self._pending:
+            return
+        pending, self._pending = self._pending, {}
+        for index in sorted(pending):
+            for data in _datagrams(pending[index]):
+                channel = self._downlinks[index]
+                if channel.config is PERFECT:
+                    self._sent.append(Outgoing(self.now_ns, index, data))
+                    continue
+                for t_ns, arrived in channel.carry(self.now_ns, data):
+                    self._order += 1
+                    heapq.heappush(self._outgoing, _Arrival(t_ns, self._order, index, "", arrived))
+
+    def _measure_distances(self) -> None:
+        if not self._history:
+            return
+        pos = np.stack([item[0] for item in self._history])
+        air = np.stack([item[1] for item in self._history])
+        self._history.clear()
+        first, second = self._pairs
+        both = air[:, first] & air[:, second]
+        if both.any():
+            delta = pos[:, :, first] - pos[:, :, second]
+            squared = (delta * delta).sum(axis=1)
+            self._min_distance_m = min(self._min_distance_m, math.sqrt(float(squared[both].min())))
+
+    # -- making of ----------------------------------------------------------------------------------------------
+
+    def _power_up(self, index: int) -> Autopilot:
+        config = self.config.vehicles[index]
+        return Px4(self, index, config, self._boot_of(config.autopilot))
+
+    def _boot_of(self, autopilot: str) -> Boot:
+        """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""
+        spread = float(self._rng_boot.random())
+
+        def ns(low_s: float, high_s: float) -> int:
+            return round((low_s + (high_s - low_s) * spread) * SECOND)
+
+        if not self.config.real_boot:
+            return Boot(ns(0.1, 0.1), ns(0.1, 0.1), ns(1.0, 1.4), ns(1.8, 2.0))
+        if autopilot == "px4":
+            return Boot(ns(1.0, 1.1), ns(2.1, 2.8), ns(1.2, 1.8), ns(5.0, 7.5))
+        return Boot(ns(0.5, 0.6), ns(1.9, 2.1), ns(41.0, 43.0), ns(23.5, 24.5))
+
+    def _wind(self, rng: np.random.Generator, step_s: float) -> Wind | None:
+        wind = self.config.wind
+        if wind is None:
+            return None
+        return Wind(
+            mean_enu_m_s=wind.mean_enu_m_s,
+            gust_sigma_m_s=wind.gust_sigma_m_s,
+            gust_tau_s=wind.gust_tau_s,
+            n=self.n,
+            step_s=step_s,
+            rng=rng,
+        )
+
+    def _downwash(self) -> Downwash | None:
+        if not self.config.downwash:
+            return None
+        return Downwash(
+            np.array([profile.mass_kg for profile in self.profiles]),
+            np.array([profile.rotor_span_m for profile in self.profiles]),
+        )
+
+
+def _datagrams(messages: list[bytes]) -> list[bytes]:
+    total = sum(map(len, messages))
+    if total <= _DATAGRAM_BYTES:
+        return [b"".join(messages)]
+    out, size, start = [], 0, 0
+    for k, message in enumerate(messages):
+        if size and size + len(message) > _DATAGRAM_BYTES:
+            out.append(b"".join(messages[start:k]))
+            size, start = 0, k
+        size += len(message)
+    out.append(b"".join(messages[start:]))
+    return out
+
+
+def _check(config: WorldConfig) -> None:
+    seen: set[int] = set()
+    for k, vehicle in enumerate(config.vehicles):
+        where = f"emulated vehicle {k + 1}"
+        if not 1 <= vehicle.sysid <= 255:
+            raise ValueError(f"{where}: sysid is {vehicle.sysid}, limits 1 and 255")
+        if vehicle.sysid in seen:
+            raise ValueError(f"{where}: sysid {vehicle.sysid} is taken; every vehicle needs its own")
+        seen.add(vehicle.sysid)
+        if vehicle.profile not in PROFILES:
+            raise ValueError(f"{where}: profile is {vehicle.profile!r}, one of {', '.join(PROFILES)} is needed")
+        if vehicle.autopilot not in ("px4", "arducopter"):
+            raise ValueError(f"{where}: autopilot is {vehicle.autopilot!r}, px4 or arducopter is needed")

@@ -1,0 +1,88 @@
+"""Flies missions against the emulator in virtual time, with something going wrong on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from groundstation.app.emulator import TruthMeter, world_config
+from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.resources import packaged_configs
+from groundstation.app.session import Session
+from groundstation.mission.plan import MissionPlan, load_mission
+from groundstation.mission.runner import Note, Phase, Runner
+from groundstation.records.tlog import TlogWriter
+from sitl.world import Outgoing, World
+
+SECOND_NS = 1_000_000_000
+CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
+Tamper = Callable[[Outgoing, "Flight"], list[Outgoing]]
+"""What the network makes of one datagram on its way to the ground."""
+
+
+class Flight:
+    """One dry run, kept for looking at."""
+
+    def __init__(
+        self,
+        plan: MissionPlan,
+        *,
+        seed: int = 1,
+        tamper: Tamper | None = None,
+        interrupt_when: Callable[[Flight], bool] | None = None,
+        log: Path | None = None,
+        limit_s: float = 200.0,
+    ) -> None:
+        self.plan = plan
+        self.world = World(world_config(plan), seed)
+        self.runner = Runner(plan, 0)
+        self.notes: list[Note] = []
+        self.now_ns = 0
+        self.phase_seen: list[Phase] = []
+        self.setpoints_when_silent: int | None = None
+        self.meter = TruthMeter(self.world)
+        self._tamper = tamper
+        self._interrupt_when = interrupt_when
+        self._interrupts = Interrupts()
+        self._limit_ns = round(limit_s * SECOND_NS)
+        writer = TlogWriter(log, 0) if log is not None else None
+        self.session = Session(self.runner, writer)
+        fly_virtual(
+            self.session,
+            self,
+            period_ns=20_000_000,
+            watchers=(self._watch, self.meter),
+            interrupts=self._interrupts,
+        )
+        if writer is not None:
+            writer.close()
+
+    def advance(self, now_ns: int) -> list[Outgoing]:
+        """The emulator's side of the loop, with the network's mischief."""
+        sent = self.world.advance(now_ns)
+        if self._tamper is None:
+            return sent
+        return [arrived for datagram in sent for arrived in self._tamper(datagram, self)]
+
+    def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
+        """What the ground station sends, untouched."""
+        self.world.receive(vehicle_index, data, now_ns)
+
+    def texts(self, kind: str) -> list[str]:
+        """What was noted, of one kind."""
+        return [note.text for note in self.notes if note.kind == kind]
+
+    def _watch(self, session: Session, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.notes += session.take_notes()
+        if not self.phase_seen or self.phase_seen[-1] is not self.runner.phase:
+            self.phase_seen.append(self.runner.phase)
+        if self._interrupt_when is not None and self._interrupt_when(self):
+            self._interrupts.interrupt()
+        if now_ns >= self._limit_ns:
+            raise AssertionError(f"still in {self.runner.phase} after {now_ns / SECOND_NS:.0f} s: {self.notes[-5:]}")
+
+
+def cube8(*changes: str) -> MissionPlan:
+    """The packaged cube8 mission, changed."""
+    return load_mission(CUBE8, changes)

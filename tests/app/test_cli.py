@@ -1,0 +1,166 @@
+"""The command line as people and scripts use it: JSON, exit codes, messages, files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from groundstation.app import cli
+from groundstation.app.output import to_json
+
+FLY_KEYS = {
+    "mission", "outcome", "reason", "vehicles", "converged", "time_to_form_s", "formation_error_m", "min_distance_m",
+    "safety_radius_m", "gridlocks", "role_swaps", "setpoints", "ticks", "deadline_misses", "duration_s", "wall_s",
+    "log", "seed",
+}  # fmt: skip
+
+
+def _gs(
+    arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["gs", *arguments])
+    code = 0
+    try:
+        cli.main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--seed", "7", "--json"], monkeypatch, capsys)
+    assert code == 0
+    values = json.loads(out.splitlines()[-1])
+    assert set(values) == FLY_KEYS
+    assert (values["outcome"], values["vehicles"], values["seed"]) == ("completed", 8, 7)
+    assert values["formation_error_m"] <= 0.05
+    assert values["min_distance_m"] >= values["safety_radius_m"] == 0.45
+
+    code, out, _ = _gs(["replay", values["log"], "--verify", "--json"], monkeypatch, capsys)
+    assert code == 0
+    replayed = json.loads(out.splitlines()[-1])
+    assert (replayed["mismatches"], replayed["max_error_m_s"]) == (0, 0.0)
+    assert replayed["setpoints"] == values["setpoints"] > 1000
+    assert replayed["ticks"] == values["ticks"]
+
+    # A log in which one bit of one setpoint was changed no longer verifies.
+    log = Path(values["log"])
+    data = bytearray(log.read_bytes())
+    marker = data.index(bytes([255, 190, 84, 0, 0]), len(data) // 2)
+    data[marker + 8] ^= 1
+    log.write_bytes(bytes(data))
+    code, out, err = _gs(["replay", str(log), "--verify", "--json"], monkeypatch, capsys)
+    assert code == 1
+    assert json.loads(out.splitlines()[-1])["mismatches"] >= 1
+    assert "Traceback" not in err
+
+
+def test_preflight_that_fails_ends_with_3(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    links = [f"vehicles.{number}.link=udpin://127.0.0.1:0" for number in range(8)]
+    changes = [argument for change in ["limits.preflight_s=0.5", *links] for argument in ("--set", change)]
+    code, out, err = _gs(["fly", "--mission", "cube8.yaml", "--json", *changes], monkeypatch, capsys)
+    assert code == 3
+    values = json.loads(out.splitlines()[-1])
+    assert values["outcome"] == "aborted"
+    assert values["setpoints"] == 0
+    assert "nothing was armed" in err
+    assert "vehicle 8: no heartbeat" in err
+    code, out, err = _gs(["check", "--mission", "cube8.yaml", "--json", *changes], monkeypatch, capsys)
+    assert code == 3
+    assert json.loads(out.splitlines()[-1])["ready"] is False
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fly"],
+        ["fly", "--mission"],
+        ["fly", "--bogus"],
+        ["fly", "--mission", "nowhere.yaml", "--dry-run"],
+        ["fly", "--mission", "cube8.yaml", "--dry-run", "--seed", "-1"],
+        ["fly", "--mission", "cube8.yaml", "--dry-run", "--set", "wings=2"],
+        ["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "log.txt"],
+        ["fly", "--mission", "cube8.yaml", "--realtime"],
+        ["replay", "nowhere.tlog"],
+        ["report", "nowhere.tlog", "-o", "out"],
+        ["import", "crazyswarm", "nowhere", "-o", "x.tlog"],
+        ["design", "nowhere.yaml"],
+        ["sitl", "--vehicles", "0"],
+        ["sitl", "--vehicles", "2", "--autopilot", "kite"],
+        ["dance"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage_ends_with_2_and_a_message(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = _gs(arguments, monkeypatch, capsys)
+    assert code == 2
+    assert err.strip()
+    assert "Traceback" not in out + err
+    assert not list(tmp_path.glob("*.tlog"))
+
+
+def test_a_truncated_log_is_read_up_to_its_last_whole_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
+    data = Path("a.tlog").read_bytes()
+    Path("a.tlog").write_bytes(data[: len(data) * 2 // 3 + 5])
+    code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    assert code == 0
+    assert json.loads(out.splitlines()[-1])["mismatches"] == 0
+    Path("a.tlog").write_bytes(b"")
+    code, _, err = _gs(["replay", "a.tlog", "--json"], monkeypatch, capsys)
+    assert code in (1, 2)
+    assert "Traceback" not in err
+
+
+def test_the_log_of_a_real_flight_is_never_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "precious.tlog"
+    log.write_bytes(b"precious")
+    code, _, err = _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", str(log)], monkeypatch, capsys)
+    assert code == 2
+    assert "not written over" in err
+    assert log.read_bytes() == b"precious"
+
+
+def test_the_overview_names_every_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _gs(["--help"], monkeypatch, capsys)
+    assert code == 0
+    for name in cli.COMMANDS:
+        assert f"  {name} " in out
+        assert _gs([name, "--help"], monkeypatch, capsys)[0] == 0
+
+
+def test_json_is_strict() -> None:
+    assert json.loads(to_json({"a": float("nan"), "b": [1.0, float("inf")], "c": "x"})) == {
+        "a": None,
+        "b": [1.0, None],
+        "c": "x",
+    }
+
+
+def test_flying_does_not_load_what_only_reports_and_designs_need() -> None:
+    code = (
+        "import sys, groundstation.app.commands.fly;"
+        "print([name for name in ('matplotlib', 'cvxpy', 'clarabel', 'mavsdk') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,260 @@
+"""The whole loop on virtual time: runner, bytes, emulator; what people are promised, and what may go wrong."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.core.formation import Formation
+from groundstation.core.types import FloatArray, IntArray
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
+from groundstation.mission.runner import Phase
+from sitl.world import Outgoing
+from tests.app.flights import SECOND_NS, Flight, cube8
+
+POSITION = message_id("LOCAL_POSITION_NED")
+HEARTBEAT = message_id("HEARTBEAT")
+
+
+def _all_down(flight: Flight) -> bool:
+    truth = flight.world.truth
+    return not truth.armed.any() and not truth.airborne.any()
+
+
+def _without(datagram: Outgoing, *msgids: int) -> list[Outgoing]:
+    pieces = FrameSplitter().feed(datagram.data)
+    kept = [piece.raw for piece in pieces if isinstance(piece, Frame) and piece.msgid not in msgids]
+    return [datagram._replace(data=b"".join(kept))] if kept else []
+
+
+@pytest.mark.parametrize("seed", range(1, 21))
+def test_cube8_is_formed_held_and_landed_on_the_pads_at_every_seed(seed: int) -> None:
+    flight = Flight(cube8(), seed=seed)
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
+    assert flight.runner.figures.converged
+    assert flight.meter.formation_error_m <= 0.05
+    assert flight.world.min_distance_airborne_m >= 0.45
+    assert _all_down(flight)
+    off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert off_pad.max() < 0.3
+    assert [phase.value for phase in flight.phase_seen] == [
+        "connect", "arm", "takeoff", "form", "hold", "return", "land", "done",
+    ]  # fmt: skip
+
+
+def _shape_error_m(pos_enu_m: FloatArray, formation: Formation, roles: IntArray) -> float:
+    """Largest distance to the formation after the best yaw and translation: no mirror image, no tilt allowed."""
+    wanted = formation.points_enu_m[roles] - formation.points_enu_m.mean(axis=0)
+    have = pos_enu_m - pos_enu_m.mean(axis=0)
+    turn = np.vdot(wanted[:, 0] + 1j * wanted[:, 1], have[:, 0] + 1j * have[:, 1])
+    turned = (wanted[:, 0] + 1j * wanted[:, 1]) * turn / abs(turn)
+    return float(np.linalg.norm(np.column_stack([turned.real, turned.imag, wanted[:, 2]]) - have, axis=1).max())
+
+
+def test_the_cube_stands_upright_in_the_world_and_not_only_in_its_distances() -> None:
+    shapes: list[float] = []
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.HOLD:
+            positions = flight.world.truth.pos_enu_m
+            shapes.append(_shape_error_m(positions, flight.plan.formation, flight.runner.role_of_agent))
+        return False
+
+    Flight(cube8(), seed=3, interrupt_when=look)
+    assert len(shapes) > 200
+    assert max(shapes) < 0.08
+
+
+@pytest.mark.parametrize(
+    "phase", [Phase.CONNECT, Phase.ARM, Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.RETURN, Phase.LAND]
+)
+def test_ctrl_c_once_brings_everybody_back_and_down(phase: Phase) -> None:
+    done: list[int] = []
+
+    def interrupt(flight: Flight) -> bool:
+        if flight.runner.phase is phase and not done and flight.phase_seen[-1] is phase:
+            done.append(flight.now_ns)
+            return True
+        return False
+
+    flight = Flight(cube8(), interrupt_when=interrupt)
+    assert flight.runner.outcome == "aborted"
+    assert "operator" in flight.runner.reason
+    assert _all_down(flight)
+    assert flight.world.min_distance_airborne_m >= 0.45
+    off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert off_pad.max() < 0.3
+    if phase in (Phase.CONNECT, Phase.ARM):
+        assert Phase.TAKEOFF not in flight.phase_seen
+
+
+def test_ctrl_c_twice_ends_the_setpoints_and_the_autopilots_land_by_themselves() -> None:
+    sent_at: list[tuple[int, int]] = []
+
+    def interrupt(flight: Flight) -> bool:
+        sent_at.append((flight.now_ns, flight.runner.setpoints_sent))
+        return flight.runner.phase in (Phase.HOLD, Phase.STOP)
+
+    flight = Flight(cube8(), interrupt_when=_twice(interrupt))
+    assert flight.runner.outcome == "aborted"
+    assert Phase.SILENT in flight.phase_seen
+    assert _all_down(flight)
+    silent_since = next(note for note in flight.notes if "setpoints stop" in note.text)
+    assert silent_since.kind == "alarm"
+    counts = [count for _, count in sent_at]
+    assert counts[-1] == counts[-200]
+    assert any("Failsafe activated" in text for text in flight.texts("info"))
+
+
+def _twice(condition: Callable[[Flight], bool]) -> Callable[[Flight], bool]:
+    fired: list[int] = []
+
+    def once_or_twice(flight: Flight) -> bool:
+        if condition(flight) and len(fired) < 2:
+            fired.append(flight.now_ns)
+            return True
+        return False
+
+    return once_or_twice
+
+
+def test_a_vehicle_that_is_not_there_is_named_and_nothing_is_armed() -> None:
+    armed: list[bool] = []
+
+    def absent(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        armed.append(bool(flight.world.truth.armed.any()))
+        return [] if datagram.vehicle_index == 4 else [datagram]
+
+    flight = Flight(cube8("limits.preflight_s=5"), tamper=absent)
+    assert flight.runner.outcome == "refused"
+    assert flight.runner.reason.startswith("vehicle 5: no heartbeat on udpin://127.0.0.1:14540;")
+    assert "vehicle 4" not in flight.runner.reason
+    assert not any(armed)
+    assert flight.runner.setpoints_sent == 0
+
+
+def test_positions_that_are_not_numbers_never_arm_a_vehicle() -> None:
+    encoder = Encoder(2)
+
+    def spoilt(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index != 1:
+            return [datagram]
+        nan = encoder.encode("LOCAL_POSITION_NED", x=math.nan, y=math.nan, z=math.nan)
+        return [datagram._replace(data=rest.data + nan) for rest in _without(datagram, POSITION)]
+
+    flight = Flight(cube8("limits.preflight_s=5"), tamper=spoilt)
+    assert flight.runner.outcome == "refused"
+    assert "vehicle 2: position and attitude: none yet" in flight.runner.reason
+    assert flight.runner.fleet.counts["position that is not a number"] > 10
+    assert not flight.world.truth.armed.any()
+
+
+def test_a_vehicle_that_stands_on_another_ones_pad_is_refused() -> None:
+    encoder = Encoder(2)
+
+    def elsewhere(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index != 1:
+            return [datagram]
+        wrong = encoder.encode("LOCAL_POSITION_NED", x=0.0, y=1.0, z=0.0)
+        return [datagram._replace(data=rest.data + wrong) for rest in _without(datagram, POSITION)]
+
+    flight = Flight(cube8("limits.preflight_s=5"), tamper=elsewhere)
+    assert flight.runner.outcome == "refused"
+    assert "vehicle 2: reports a position 1.00 m from its pad, limit 0.3 m" in flight.runner.reason
+
+
+def test_a_vehicle_whose_position_stops_in_flight_lands_and_the_others_come_back() -> None:
+    def blind(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index == 2 and Phase.HOLD in flight.phase_seen:
+            return _without(datagram, POSITION)
+        return [datagram]
+
+    flight = Flight(cube8(), tamper=blind)
+    assert flight.runner.outcome == "aborted"
+    assert flight.runner.reason.startswith("vehicle 3: no position for 1 s; it lands where it is")
+    assert any("vehicle 3: position is 0.5" in text and "holding" in text for text in flight.texts("alarm"))
+    assert _all_down(flight)
+    off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert np.delete(off_pad, 2).max() < 0.3
+
+
+def test_a_heartbeat_that_stops_brings_everybody_back() -> None:
+    def mute(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index == 6 and flight.runner.phase in (Phase.FORM, Phase.HOLD):
+            return _without(datagram, HEARTBEAT)
+        return [datagram]
+
+    flight = Flight(cube8(), tamper=mute)
+    assert flight.runner.reason == "vehicle 7: no heartbeat for 4 s; everybody comes back"
+    assert _all_down(flight)
+
+
+def test_a_pilot_who_takes_over_is_not_fought() -> None:
+    """The vehicle's mode is changed from outside; from then on it gets neither setpoints nor commands."""
+    pilot = Encoder(254, 1)
+    told: list[int] = []
+
+    def take_over(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.HOLD and not told:
+            told.append(flight.now_ns)
+            hold = pilot.encode(
+                "COMMAND_LONG", target_system=4, target_component=1, command=176, param1=1.0, param2=4.0, param3=3.0
+            )
+            flight.world.receive(3, hold, flight.now_ns)
+        if told and flight.now_ns > told[0] + 20 * SECOND_NS and len(told) == 1:
+            told.append(flight.now_ns)
+            land = pilot.encode("COMMAND_LONG", target_system=4, target_component=1, command=21)
+            flight.world.receive(3, land, flight.now_ns)
+        return False
+
+    flight = Flight(cube8("steps.1.hold.seconds=10"), interrupt_when=take_over)
+    assert flight.runner.outcome == "aborted"
+    assert flight.runner.reason.startswith("vehicle 4: left for mode AUTO.LOITER; it is released")
+    truth = flight.world.truth
+    assert not np.delete(truth.armed, 3).any()
+    assert flight.world.min_distance_airborne_m >= 0.45
+
+
+def test_strange_bytes_on_the_link_change_nothing() -> None:
+    rng = np.random.default_rng(5)
+    stranger = Encoder(99)
+
+    def noisy(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        junk = rng.integers(0, 256, 40, dtype=np.uint8).tobytes()
+        foreign = stranger.encode("LOCAL_POSITION_NED", x=1.0)
+        return [datagram._replace(data=junk + datagram.data + foreign)]
+
+    flight = Flight(cube8(), tamper=noisy)
+    assert flight.runner.outcome == "completed"
+    assert flight.runner.fleet.counts["unknown system"] > 1000
+    assert flight.runner.fleet.counts["bytes that were no frame"] > 10_000
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+    logs = []
+    for number, seed in enumerate((4, 4, 5)):
+        log = tmp_path / f"{number}.tlog"
+        Flight(cube8(), seed=seed, log=log)
+        logs.append(log.read_bytes())
+    assert logs[0] == logs[1]
+    assert logs[0] != logs[2]
+
+
+def test_pairs_of_vehicles_cover_the_whole_team() -> None:
+    """The distance that is reported is the smallest over all pairs of the emulator's own truth."""
+    smallest: list[float] = []
+
+    def look(flight: Flight) -> bool:
+        truth = flight.world.truth
+        for i, j in itertools.combinations(np.flatnonzero(truth.airborne), 2):
+            smallest.append(float(np.linalg.norm(truth.pos_enu_m[i] - truth.pos_enu_m[j])))
+        return False
+
+    flight = Flight(cube8(), interrupt_when=look)
+    assert flight.world.min_distance_airborne_m <= min(smallest) + 1e-9
+    assert flight.world.min_distance_airborne_m > min(smallest) - 0.02

@@ -1,0 +1,225 @@
+"""A team of vehicles that lag, for the tests of the control chain; independent of the emulator.
+
+Each vehicle is a first-order velocity lag with an acceleration limit and a command delay, tilted by what it
+accelerates; positions and velocities are measured with noise. Times in seconds, positions NED in metres.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from groundstation.core import avoidance, control, damper, frames, limits, metrics
+from groundstation.core.assignment import assign_roles
+from groundstation.core.formation import Formation, Gains
+from groundstation.core.types import FloatArray, IntArray
+from groundstation.core.views import local_views
+
+GRAVITY_M_S2 = 9.81
+
+
+def cube(side_m: float = 1.0) -> Formation:
+    """Cube with its own 12 edges, roles 0..3 around the bottom, 4..7 above them."""
+    square = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    points = np.array([[x, y, z] for z in (0, 1) for x, y in square], dtype=np.float64) * side_m
+    ring = [(0, 1), (1, 2), (2, 3), (0, 3)]
+    edges = ring + [(i + 4, j + 4) for i, j in ring] + [(i, i + 4) for i in range(4)]
+    return Formation("cube", points, tuple(sorted(edges)))
+
+
+def cube_gains() -> Gains:
+    """Gains of the cube with nonzero eigenvalues in [-10, -5], in closed form.
+
+    A ring of four with weight w = d (1 - i) / 2 has the kernel {1, x + iy} of a square and twice the eigenvalue -2d;
+    verticals of weight v add 0 or -2v. In z a ring of weight e has eigenvalues 0, -2e, -2e, -4e. d = v = e = 2.5.
+    """
+    shift = np.roll(np.eye(4), 1, axis=1)
+    weight = 1.25 - 1.25j
+    ring_xy = weight * shift + np.conj(weight) * shift.T - 2.5 * np.eye(4)
+    ring_z = 2.5 * (shift + shift.T) - 5.0 * np.eye(4)
+    upright = 2.5 * (np.array([[0.0, 1.0], [1.0, 0.0]]) - np.eye(2))
+    return Gains(
+        xy=np.kron(np.eye(2), ring_xy) + np.kron(upright, np.eye(4)),
+        z=np.asarray(np.kron(np.eye(2), ring_z), dtype=np.float64),
+    )
+
+
+def random_start(
+    rng: np.random.Generator, n: int, room_m: float, apart_m: float, *, planar: bool, size: int = 3
+) -> FloatArray:
+    """Positions NED at random, at least ``apart_m`` from each other, at height 0.5 m or anywhere in the room."""
+    while True:
+        chosen: list[FloatArray] = []
+        for _ in range(2000):
+            point = rng.uniform(-room_m / 2, room_m / 2, size)
+            point[2] = -0.5 if planar else -0.3 - (point[2] + room_m / 2)
+            if all(np.linalg.norm(point - other) >= apart_m for other in chosen):
+                chosen.append(point)
+            if len(chosen) == n:
+                return np.array(chosen)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What a kind of vehicle does. ``delay_s`` is all between measurement and effect."""
+
+    tau_s: float
+    delay_s: float
+    accel_m_s2: float
+    pos_noise_m: float = 0.01
+    vel_noise_m_s: float = 0.02
+    bias_m: float = 0.0  # slowly wandering position error, on top
+    tilt_lag_s: float = 0.0  # the acceleration itself follows with this lag (the attitude loop)
+
+
+CRAZYFLIE = Profile(tau_s=0.2, delay_s=0.05, accel_m_s2=4.0)
+PX4_QUAD = Profile(tau_s=1.0, delay_s=0.1, accel_m_s2=3.0)
+KINEMATIC = Profile(tau_s=0.0, delay_s=0.0, accel_m_s2=np.inf, pos_noise_m=0.0, vel_noise_m_s=0.0)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The control chain under test."""
+
+    formation: Formation
+    gains: Gains
+    control_gain: float
+    radius_m: float = 0.45
+    activation_m: float = 0.5
+    speed_m_s: float = 0.5
+    accel_m_s2: float = 4.0
+    tick_s: float = 0.02
+    lead_s: float = 0.0
+    upright_1_s: float = 0.0
+    scale: control.ScaleFunction = field(default_factory=control.ScaleFunction)
+    rotate: bool = True
+    damper: damper.DamperParams | None = None
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What came out. ``formed_s`` is when all distances got within 5 cm to stay so for a second; NaN if never."""
+
+    formed_s: float
+    min_distance_m: float
+    error_m: float
+    pos_ned_m: FloatArray
+    roles: IntArray
+    blocked_ticks: int
+    infeasible_ticks: int
+
+
+def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.DamperParams:
+    return damper.DamperParams(
+        radius_m=chain.radius_m,
+        margin_m=margin_m,
+        lag_s=profile.tau_s,
+        delay_s=profile.delay_s,
+        tick_s=chain.tick_s,
+        speed_limit_m_s=chain.speed_m_s,
+        accel_limit_m_s2=profile.accel_m_s2,
+    )
+
+
+def with_damper(profile: Profile, chain: Chain, margin_m: float) -> Chain:
+    return dataclasses.replace(chain, damper=damper_for(profile, chain, margin_m))
+
+
+def fly(
+    chain: Chain,
+    profile: Profile,
+    start_ned_m: FloatArray,
+    rng: np.random.Generator,
+    *,
+    seconds: float = 60.0,
+    frame_tilt_rad: float = 0.0,
+    tilt_with_speed: bool = False,
+    output_turn_rad: float = 0.0,
+    roles: IntArray | None = None,
+    stop_when_formed: bool = True,
+) -> Flight:
+    """Flies one team from hovering at the start; stops early a second after it has formed.
+
+    ``frame_tilt_rad`` leans every body by that much at most, each another way, always or in proportion to its commanded
+    speed; ``output_turn_rad`` turns every velocity by that angle about an axis of its own (R_i of Theorem 2).
+    """
+    n = len(start_ned_m)
+    if roles is None:
+        roles = assign_roles(frames.enu_from_ned(start_ned_m), chain.formation).role_of_agent
+    task = control.task_for_roles(chain.formation, chain.gains, roles)
+    sphere = avoidance.SafetySphere(chain.radius_m, max(chain.activation_m, chain.radius_m))
+    sensed = np.ones((n, n), dtype=np.bool_)
+    wanted = chain.formation.distances_m[np.ix_(roles, roles)]
+    upper = np.triu_indices(n, 1)
+    yaw = rng.uniform(-np.pi, np.pi, n)
+    lean = rng.uniform(-1.0, 1.0, (2, n)) * frame_tilt_rad / np.sqrt(2.0)
+    axes = rng.normal(size=(n, 3))
+    turns = Rotation.from_rotvec(output_turn_rad * axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    steps = 1 if profile.tau_s == 0.0 else 5
+    dt = chain.tick_s / steps
+    queue = [np.zeros((n, 3))] * (round(profile.delay_s / dt) + 1)
+    pos, vel, accel = start_ned_m.copy(), np.zeros((n, 3)), np.zeros((n, 3))
+    bias = rng.normal(0.0, profile.bias_m, (n, 3)) if profile.bias_m else np.zeros((n, 3))
+    sent = np.zeros((n, 3))
+    smallest, formed_s, blocked, infeasible, error = np.inf, np.nan, 0, 0, np.inf
+    for tick in range(round(seconds / chain.tick_s)):
+        if profile.bias_m:  # wanders with a time constant of 2 s
+            keep = np.exp(-chain.tick_s / 2.0)
+            bias = keep * bias + rng.normal(0.0, profile.bias_m * np.sqrt(1 - keep**2), (n, 3))
+        seen_pos = pos + bias + (rng.normal(0.0, profile.pos_noise_m, (n, 3)) if profile.pos_noise_m else 0.0)
+        seen_vel = vel + (rng.normal(0.0, profile.vel_noise_m_s, (n, 3)) if profile.vel_noise_m_s else 0.0)
+        forward, right = np.cos(yaw), np.sin(yaw)
+        ahead = accel[:, 0] * forward + accel[:, 1] * right
+        aside = -accel[:, 0] * right + accel[:, 1] * forward
+        tilt = lean * np.minimum(np.linalg.norm(sent, axis=1) / chain.speed_m_s, 1.0) if tilt_with_speed else lean
+        quat = frames.quat_ned_from_frd_of_euler(
+            tilt[0] + np.arctan(aside / GRAVITY_M_S2), tilt[1] - np.arctan(ahead / GRAVITY_M_S2), yaw
+        )
+        views = local_views(seen_pos, seen_vel, quat, sensed)
+        want = control.formation_control(views, task, chain.scale, chain.control_gain, chain.lead_s, chain.upright_1_s)
+        want = control.saturate(want, chain.speed_m_s)
+        if chain.rotate:
+            avoided = avoidance.avoid(views, want, sphere)
+            want, blocked = avoided.vel_flu_m_s, blocked + int(avoided.blocked.sum())
+        if chain.damper is not None:
+            damped = damper.damp(views, want, chain.damper)
+            want, infeasible = damped.vel_flu_m_s, infeasible + int(damped.infeasible.sum())
+        out = frames.rotate(frames.rot_ned_from_flu(quat), want)
+        if output_turn_rad:
+            out = turns.apply(out)
+        sent = limits.apply_limits(
+            out,
+            sent,
+            seen_pos,
+            speed_max_m_s=chain.speed_m_s,
+            accel_max_m_s2=np.inf if profile.tau_s == 0.0 else chain.accel_m_s2,
+            period_s=chain.tick_s,
+            fence=None,
+            fence_rate_1_s=1.0,
+        )
+        for _ in range(steps):
+            queue.append(sent)
+            command = queue.pop(0)
+            if profile.tau_s == 0.0:
+                vel = sent
+            else:
+                wished = (command - vel) / profile.tau_s
+                size = np.linalg.norm(wished, axis=1, keepdims=True)
+                wished = wished * np.minimum(1.0, profile.accel_m_s2 / np.maximum(size, 1e-12))
+                accel = accel + (wished - accel) * (dt / (dt + profile.tilt_lag_s))
+                vel = vel + accel * dt
+            pos = pos + vel * dt
+            distances = metrics.pair_distances_m(pos)[upper]
+            smallest = min(smallest, float(distances.min()))
+        error = float(np.abs(distances - wanted[upper]).max())
+        now = (tick + 1) * chain.tick_s
+        if error > 0.05:
+            formed_s = np.nan
+        elif np.isnan(formed_s):
+            formed_s = now
+        elif stop_when_formed and now - formed_s >= 1.0:
+            break
+    return Flight(formed_s, smallest, error, pos, roles, blocked, infeasible)

@@ -1,0 +1,45 @@
+"""Numbers that monitors and reports stand on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from groundstation.core import metrics
+from tests.core.lag_team import cube
+
+
+def test_formation_error_by_hand() -> None:
+    roles = np.array([3, 1, 0, 2, 7, 6, 5, 4])
+    pos = cube().points_enu_m[roles]
+    assert metrics.formation_error_m(pos, cube().distances_m, roles) == pytest.approx(0.0, abs=1e-12)
+    pos[2] -= [0.0, 0.0, 0.3]  # role 0 sinks by 0.3: the edge above it grows from 1 to 1.3
+    assert metrics.formation_error_m(pos, cube().distances_m, roles) == pytest.approx(0.3)
+    pos[2, 0] = np.nan
+    assert np.isnan(metrics.formation_error_m(pos, cube().distances_m, roles))
+    assert metrics.formation_error_m(np.zeros((1, 3)), np.zeros((1, 1)), np.array([0])) == 0.0
+
+
+def test_min_distance_counts_who_counts() -> None:
+    pos = np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 1], [np.nan, 0, 0]])
+    assert metrics.min_distance_m(pos) == 1.0
+    assert metrics.min_distance_m(pos, np.array([True, True, False, True])) == 5.0
+    assert metrics.min_distance_m(pos, np.array([True, False, False, True])) == float("inf")
+
+
+def test_pair_distances_of_a_whole_log_at_once() -> None:
+    log = np.random.default_rng(0).normal(size=(5, 3, 3))
+    distances = metrics.pair_distances_m(log)
+    assert distances.shape == (5, 3, 3)
+    assert distances[4, 0, 2] == pytest.approx(np.linalg.norm(log[4, 0] - log[4, 2]))
+
+
+@given(st.permutations(range(8)), st.floats(-10, 10), st.floats(0.1, 3))
+def test_upside_down_is_told_from_upright(order: list[int], shift: float, size: float) -> None:
+    roles, heights = np.array(order), cube().points_enu_m[:, 2]
+    upright = size * heights[roles] + shift
+    assert metrics.vertical_orientation(upright, heights, roles) == pytest.approx(1.0)
+    assert metrics.vertical_orientation(-upright, heights, roles) == pytest.approx(-1.0)
+    assert metrics.vertical_orientation(np.zeros(8), heights, roles) == 0.0

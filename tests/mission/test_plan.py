@@ -1,0 +1,145 @@
+"""Mission files: what is wrong is told with file, key, value, limit and remedy, before anything flies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from groundstation.app.resources import packaged_configs
+from groundstation.core.errors import UserError
+from groundstation.mission.plan import load_mission, plan_from_record
+
+CONFIGS = packaged_configs()
+CUBE8 = CONFIGS / "missions" / "cube8.yaml"
+
+
+@pytest.mark.parametrize("path", sorted((CONFIGS / "missions").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_mission_that_comes_along_is_valid(path: Path) -> None:
+    plan = load_mission(path)
+    assert plan.size == plan.formation.size
+    assert plan.source == str(path)
+
+
+def test_cube8_is_flown_as_the_paper_says_with_the_gain_that_the_lag_allows() -> None:
+    plan = load_mission(CUBE8)
+    assert (plan.spec.avoidance.radius_m, plan.spec.avoidance.activation_m) == (0.45, 0.5)
+    assert (plan.scale.kind, plan.scale.gain) == ("arctan", 2.5)
+    # k lambda_max (tau + delay) = 0.5 with lambda_max = 10, tau = 0.2 s, delay = 0.05 s.
+    assert plan.control_gain == pytest.approx(0.2, rel=1e-6)
+    slower = load_mission(CUBE8, ["vehicles.3.profile=px4_quad"])
+    assert slower.control_gain == pytest.approx(0.5 / (10 * 1.1), rel=1e-6)
+    assert load_mission(CUBE8, ["gain=0.07"]).control_gain == 0.07
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["speed_limt_m_s=1"], "speed_limt_m_s: unknown key"),
+        (["avoidance.shpe=sphere"], "avoidance.shpe: unknown key"),
+        (["speed_limit_m_s=-1"], "speed_limit_m_s: input should be greater than 0, got -1"),
+        (["speed_limit_m_s=.nan"], "speed_limit_m_s: input should be"),
+        (["vehicles.1.id=1"], "vehicles[1].id: 1 is the id of vehicles[0] too"),
+        (["vehicles.1.id=255"], "vehicles[1].id: input should be less than or equal to 250, got 255"),
+        (["vehicles.2.autopilot=px5"], "vehicles[2].autopilot: px5 is not known; use one of px4"),
+        (["vehicles.2.profile=brick"], "vehicles[2].profile: brick is not known; use one of crazyflie"),
+        (["vehicles.0.link=carrier-pigeon"], "vehicles[0].link: carrier-pigeon"),
+        (
+            ["vehicles.1.pad_m=[-1.0, -0.8, 0]"],
+            "vehicles[1].pad_m: 0.2 m from the pad of vehicles[0], minimum is 0.45 m",
+        ),
+        (["vehicles.1.pad_m=[9, 9, 0]"], "vehicles[1].pad_m: [9.0, 9.0, 0.0] with the takeoff height of 0.5 m is not"),
+        (
+            ["avoidance.radius_m=1.0", "avoidance.activation_m=1.1"],
+            "formation.points[1]: 1 m from points[0], minimum is",
+        ),
+        (["avoidance.radius_m=0.6"], "avoidance.activation_m: 0.5 m is less than avoidance.radius_m 0.6 m"),
+        (["fence.max_m=[1, 1, 1]"], "fence: 0.6 m of room along z, formation cube8 needs 1 m"),
+        (["fence.min_m=[3, 3, 3]"], "fence.min_m[0]: 3 m is not below fence.max_m[0] 3 m"),
+        (["formation=../formations/nowhere.yaml"], "formation: ../formations/nowhere.yaml: no such file"),
+        (["gains=../gains/nowhere.npz"], "gains: ../gains/nowhere.npz: no such file"),
+        (["gains=../gains/pyramid5.npz"], "gains of another formation: they are for 5 agents"),
+        (["gains=../gains/two_squares8_low.npz"], "gains of another formation: agent"),
+        (
+            ["formation=../formations/pyramid5.yaml", "gains=../gains/pyramid5.npz"],
+            "vehicles: 8 listed, formation pyramid5",
+        ),
+        (["steps=[]"], "steps: "),
+        (["steps=[{land: {}}]"], "steps[0].land: unknown key"),
+        (["steps=[{form: {}, hold: {}}]"], "steps[0]: a step has exactly one key"),
+        (["rate_hz=5"], "rate_hz: input should be greater than or equal to 10, got 5"),
+        (["no-equals-sign"], "--set no-equals-sign: expected key.path=value"),
+        (["vehicles.9.id=3"], "--set vehicles.9.id=3: vehicles.9: expected a number from 0 to 7"),
+        (["name.first=x"], "there are no keys below a single value"),
+        (["name=[unclosed"], "the value is not valid YAML"),
+    ],
+)
+def test_what_is_wrong_is_said_by_its_key(changes: list[str], message: str) -> None:
+    with pytest.raises(UserError) as caught:
+        load_mission(CUBE8, changes)
+    assert message in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected keys and values at the top level"),
+        ("- a\n- b\n", "expected keys and values at the top level"),
+        ("name: [unclosed\n", "is not valid YAML"),
+        ("name: a\nname: b\n", "key 'name' is given twice"),
+        ("!!python/object/apply:os.system ['true']\n", "is not valid YAML"),
+        ("name: a\n", "formation: is missing"),
+    ],
+)
+def test_files_that_are_no_missions(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=r"mission\.yaml") as caught:
+        load_mission(path)
+    assert message in str(caught.value)
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_bytes(b"\xff\xfe\x00name")
+    with pytest.raises(UserError, match="not a text file in UTF-8"):
+        load_mission(path)
+
+
+def test_without_a_gains_file_the_gains_are_designed_on_the_spot() -> None:
+    values = yaml.safe_load(CUBE8.read_text(encoding="utf-8"))
+    assert values["gains"]
+    plan = load_mission(CUBE8, ["gains=null"])
+    stored = load_mission(CUBE8)
+    np.testing.assert_allclose(np.linalg.eigvalsh(plan.gains.z), np.linalg.eigvalsh(stored.gains.z), atol=1e-3)
+    assert plan.gains_npz
+
+
+def test_a_formation_that_no_gains_hold_is_not_flown() -> None:
+    with pytest.raises(UserError, match="no gains exist"):
+        load_mission(
+            CUBE8,
+            ["formation=../formations/twisted_cube8.yaml", "gains=null"],
+        )
+
+
+def test_the_record_of_a_plan_gives_the_plan_back_to_the_bit() -> None:
+    plan = load_mission(CUBE8, ["speed_limit_m_s=0.3", "vehicles.2.profile=px4_quad"])
+    again = plan_from_record(plan.record(), plan.gains_npz, "manifest")
+    np.testing.assert_array_equal(again.gains.xy, plan.gains.xy)
+    np.testing.assert_array_equal(again.gains.z, plan.gains.z)
+    np.testing.assert_array_equal(again.formation.points_enu_m, plan.formation.points_enu_m)
+    assert again.formation.edges == plan.formation.edges
+    assert again.control_gain == plan.control_gain
+    assert again.spec.model_dump(exclude={"formation", "gains"}) == plan.spec.model_dump(exclude={"formation", "gains"})
+
+
+def test_a_record_of_something_else_is_refused() -> None:
+    plan = load_mission(CUBE8)
+    with pytest.raises(UserError, match=r"mission\.formation: is missing"):
+        plan_from_record({"name": "x"}, plan.gains_npz, "manifest")
+    with pytest.raises(UserError, match="manifest: mission: wings: unknown key"):
+        plan_from_record({**plan.record(), "wings": 2}, plan.gains_npz, "manifest")

@@ -1,0 +1,214 @@
+"""Step responses, tilt and acceleration, ground, thrust limits, wind, downwash, noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sitl.dynamics import GRAVITY_M_S2, Dynamics
+from sitl.environment import Downwash, Wind
+from sitl.estimator import GPS, MOCAP, NOISELESS, Estimator, Noise
+from sitl.profiles import PROFILES
+
+STEP_S = 0.004
+
+
+def flying(
+    *names: str, noise: Noise = NOISELESS, wind: Wind | None = None, downwash: Downwash | None = None, seed: int = 0
+) -> Dynamics:
+    """Vehicles of these profiles, 5 m apart, hovering at about 3 m."""
+    n = len(names)
+    pads = np.zeros((3, n))
+    pads[0] = 5.0 * np.arange(n)
+    estimator = Estimator([noise] * n, STEP_S, np.random.default_rng(seed))
+    dynamics = Dynamics(
+        [PROFILES[name] for name in names],
+        pos_enu_m=pads,
+        yaw_enu_rad=np.zeros(n),
+        estimator=estimator,
+        step_s=STEP_S,
+        wind=wind,
+        downwash=downwash,
+    )
+    dynamics.flying[:] = True
+    dynamics.vel_sp_enu_m_s[2] = 1.0
+    run(dynamics, 3.0)
+    dynamics.vel_sp_enu_m_s[2] = 0.0
+    run(dynamics, 5.0)
+    return dynamics
+
+
+def run(dynamics: Dynamics, seconds: float) -> np.ndarray:
+    """Velocities at every step, shape (steps, 3, n)."""
+    out = np.empty((round(seconds / STEP_S), 3, dynamics.n))
+    for k in range(len(out)):
+        dynamics.step()
+        out[k] = dynamics.vel_enu_m_s
+    return out
+
+
+def step_response(name: str, speed_m_s: float, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    dynamics = flying(name)
+    dynamics.vel_sp_enu_m_s[axis] = speed_m_s
+    velocity = run(dynamics, 6.5)[:, axis, 0]
+    return (np.arange(len(velocity)) + 1) * STEP_S, velocity
+
+
+@pytest.mark.parametrize(
+    ("name", "speed_m_s", "t63_s", "points"),
+    [
+        ("px4_quad", 2.0, 1.05, {1.0: 1.25, 3.0: 1.5, 6.0: 1.7}),
+        ("arducopter", 2.0, 0.9, {1.0: 1.45, 2.0: 1.94, 3.0: 2.0}),
+        ("crazyflie", 0.5, 0.2 + 0.05, {}),  # lag and delay of the prototype's Crazyflie
+    ],
+)
+def test_step_response_as_measured(name: str, speed_m_s: float, t63_s: float, points: dict[float, float]) -> None:
+    t_s, velocity = step_response(name, speed_m_s)
+    assert t_s[np.argmax(velocity >= 0.632 * speed_m_s)] == pytest.approx(t63_s, rel=0.15)
+    for at_s, expected in points.items():
+        assert float(np.interp(at_s, t_s, velocity)) == pytest.approx(expected, rel=0.05)
+    assert velocity.max() < 1.02 * speed_m_s
+
+
+def test_crazyflie_hardly_moves_within_its_delay_and_follows_like_a_first_order_lag() -> None:
+    t_s, velocity = step_response("crazyflie", 0.5)
+    assert float(np.interp(0.05, t_s, velocity)) < 0.05 * 0.5
+    model = 0.5 * (1.0 - np.exp(-np.maximum(t_s - 0.05, 0.0) / 0.2))
+    assert np.abs(velocity - model).max() < 0.12 * 0.5
+
+
+def test_hover_is_level_and_its_thrust_is_the_weight() -> None:
+    dynamics = flying(*PROFILES)
+    assert dynamics.up_enu[2] == pytest.approx(np.ones(3), abs=1e-6)
+    assert dynamics.thrust_m_s2 == pytest.approx(np.full(3, GRAVITY_M_S2), rel=3e-3)
+    assert np.abs(dynamics.acc_enu_m_s2).max() < 0.01
+
+
+def test_tilt_produces_the_acceleration() -> None:
+    dynamics = flying(*PROFILES)
+    dynamics.vel_sp_enu_m_s[0], dynamics.vel_sp_enu_m_s[1] = 1.0, -0.5
+    tilted = 0.0
+    for _ in range(500):
+        before = dynamics.vel_enu_m_s.copy()
+        dynamics.step()
+        drag = np.array([PROFILES[name].drag_per_s for name in PROFILES]) * before
+        weight = np.array([[0.0], [0.0], [GRAVITY_M_S2]])
+        expected = dynamics.up_enu * dynamics.thrust_m_s2 - weight - drag
+        assert (dynamics.vel_enu_m_s - before) / STEP_S == pytest.approx(expected, abs=1e-9)
+        tilted = max(tilted, float(np.degrees(np.arccos(dynamics.up_enu[2])).max()))
+    assert tilted > 10.0
+    assert (np.linalg.norm(dynamics.up_enu, axis=0)) == pytest.approx(np.ones(3), abs=1e-12)
+
+
+def test_tilt_and_thrust_stay_within_their_limits_under_wild_commands() -> None:
+    dynamics = flying(*PROFILES)
+    rng = np.random.default_rng(3)
+    tilt_max = np.array([PROFILES[name].tilt_max_rad for name in PROFILES])
+    thrust_max = np.array([PROFILES[name].thrust_max_g for name in PROFILES]) * GRAVITY_M_S2
+    for _ in range(40):
+        dynamics.vel_sp_enu_m_s[:] = rng.uniform(-50.0, 50.0, (3, 3))
+        for _ in range(50):
+            dynamics.step()
+            assert (np.arccos(np.clip(dynamics.up_enu[2], -1, 1)) <= tilt_max * 1.1).all()
+            assert (dynamics.thrust_m_s2 <= thrust_max * 1.0001).all()
+            assert (dynamics.pos_enu_m[2] >= 0.0).all()
+
+
+def test_standing_on_the_ground_nothing_moves_until_it_lifts() -> None:
+    dynamics = flying("crazyflie")
+    dynamics.vel_sp_enu_m_s[2] = -1.0
+    dynamics.vel_sp_enu_m_s[0] = 0.3
+    run(dynamics, 6.0)
+    assert dynamics.on_ground.all()
+    start = dynamics.pos_enu_m.copy()
+    run(dynamics, 1.0)
+    assert (dynamics.pos_enu_m == start).all()
+    assert dynamics.up_enu[:, 0].tolist() == [0.0, 0.0, 1.0]
+    dynamics.flying[:] = False
+    dynamics.vel_sp_enu_m_s[2] = 1.0
+    run(dynamics, 1.0)
+    assert (dynamics.pos_enu_m == start).all()
+    dynamics.flying[:] = True
+    run(dynamics, 1.0)
+    assert dynamics.pos_enu_m[2, 0] > 0.5
+
+
+def test_without_motors_it_falls_freely() -> None:
+    dynamics = flying("crazyflie")
+    dynamics.flying[:] = False
+    dynamics.thrust_m_s2[:] = 0.0
+    fallen = run(dynamics, 0.4)[:, 2, 0]
+    assert fallen[-1] == pytest.approx(-GRAVITY_M_S2 * 0.4, rel=0.06)  # less a little drag
+
+
+def test_a_failed_motor_brings_it_down() -> None:
+    dynamics = flying("crazyflie", "crazyflie")
+    dynamics.tumbling[0], dynamics.thrust_share[0] = True, 0.6
+    run(dynamics, 3.0)
+    assert dynamics.on_ground.tolist() == [True, False]
+
+
+def test_wind_pushes_and_the_integral_holds_against_it() -> None:
+    rng = np.random.default_rng(1)
+    wind = Wind(mean_enu_m_s=(3.0, 0.0, 0.0), gust_sigma_m_s=0.0, gust_tau_s=2.0, n=1, step_s=STEP_S, rng=rng)
+    dynamics = flying("px4_quad", wind=wind)
+    run(dynamics, 20.0)
+    assert abs(float(dynamics.vel_enu_m_s[0, 0])) < 0.05
+    lean = math.degrees(math.atan2(-float(dynamics.up_enu[0, 0]), float(dynamics.up_enu[2, 0])))
+    expected = math.degrees(math.atan(3.0 * PROFILES["px4_quad"].drag_per_s / GRAVITY_M_S2))
+    assert lean == pytest.approx(expected, rel=0.05)  # it leans into the wind by what the drag asks for
+
+
+def test_gusts_have_the_stated_strength() -> None:
+    rng = np.random.default_rng(1)
+    wind = Wind(mean_enu_m_s=(1.0, 0.0, 0.0), gust_sigma_m_s=0.8, gust_tau_s=0.5, n=50, step_s=STEP_S, rng=rng)
+    air = np.array([wind.step() for _ in range(5000)])
+    assert air.mean(axis=(0, 2)) == pytest.approx([1.0, 0.0, 0.0], abs=0.05)
+    assert air.std(axis=(0, 2)) == pytest.approx([0.8, 0.8, 0.4], rel=0.05)
+
+
+def test_downwash_pushes_only_who_is_below() -> None:
+    span = np.full(3, 0.13)
+    downwash = Downwash(np.full(3, 0.033), span)
+    thrust = np.full(3, GRAVITY_M_S2)
+    pos = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 0.0], [1.5, 1.0, 1.0]])  # 1 above 2, 3 aside
+    push = downwash.acceleration(pos, thrust)
+    assert push[0] == 0.0
+    assert push[1] > 0.5
+    assert push[2] < 1e-3
+    nearer = downwash.acceleration(pos - np.array([[0.0], [0.0], [0.3]]) * [1, 0, 0], thrust)
+    assert nearer[1] > push[1]
+
+
+def test_estimation_noise_has_the_stated_size_and_memory() -> None:
+    estimator = Estimator([MOCAP] * 40, STEP_S, np.random.default_rng(5))
+    samples = []
+    for _ in range(15000):
+        estimator.step()
+        samples.append(estimator.pos_error.copy())
+    errors = np.array(samples)[::5]
+    assert errors.std() == pytest.approx(0.005, rel=0.1)
+    lag = 50  # one correlation time of 1 s in samples of 20 ms
+    both = (errors[:-lag] * errors[lag:]).mean() / (errors**2).mean()
+    assert both == pytest.approx(math.exp(-1.0), abs=0.1)
+
+
+def test_with_gps_it_wanders_as_seen_at_zero_command() -> None:
+    names = ["px4_quad"] * 16
+    dynamics = flying(*names, noise=GPS)
+    start = dynamics.pos_enu_m.copy()
+    run(dynamics, 60.0)
+    wandered = np.hypot(*(dynamics.pos_enu_m - start)[:2])
+    assert 1.0 < float(np.median(wandered)) < 2.5
+
+
+def test_mixed_profiles_do_not_touch_each_other() -> None:
+    together = flying("px4_quad", "arducopter", "crazyflie")
+    together.vel_sp_enu_m_s[0] = 1.0
+    both = run(together, 2.0)
+    for k, name in enumerate(("px4_quad", "arducopter", "crazyflie")):
+        alone = flying(name)
+        alone.vel_sp_enu_m_s[0] = 1.0
+        assert run(alone, 2.0)[:, :, 0] == pytest.approx(both[:, :, k], abs=1e-9)
