@@ -1,0 +1,37 @@
+"""``gs bench NAME``: speed, as ratios of figures that were taken in one run on one machine.
+
+Absolute seconds differ from machine to machine and from hour to hour; ratios to a yardstick in the same run do not
+so much. Nothing here is asserted in a test.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from groundstation.app.output import Output
+from groundstation.core.errors import UserError
+
+BENCHES = {"flight": "groundstation.app.bench_flight"}
+"""Name: module with ``run(out: Output) -> dict``."""
+
+
+def bench(
+    name: Annotated[str, typer.Argument(help=f"What to measure: {', '.join(BENCHES)}.")],
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+) -> None:
+    """Measures speed, as ratios in one run."""
+    out = Output(as_json=as_json)
+    if name not in BENCHES:
+        raise UserError(f"bench {name}: not known; use one of {', '.join(BENCHES)}")
+    values: dict[str, Any] = import_module(BENCHES[name]).run(out)
+    table = Table("figure", "value", title=f"bench {name}")
+    for key, value in values.items():
+        if isinstance(value, int | float | str):
+            table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    out.console.print(table)
+    out.result(values)
