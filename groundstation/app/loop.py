@@ -9,12 +9,12 @@ import selectors
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Protocol
 
 from groundstation.app.session import Session
-from groundstation.links.udp import UdpLink
+from groundstation.links.link import Link
 from sitl.world import Outgoing
 
 _MICROSECOND_NS = 1_000
@@ -136,7 +136,7 @@ class FlightClock:
 
 def fly_real(
     session: Session,
-    links: Sequence[UdpLink],
+    links: Sequence[Link],
     clock: FlightClock,
     *,
     period_ns: int,
@@ -156,22 +156,56 @@ def fly_real(
         watchers: called after every tick.
         interrupts: operator's Ctrl-C.
     """
-    with selectors.DefaultSelector() as selector:
-        for number, link in enumerate(links):
-            selector.register(link.socket, selectors.EVENT_READ, number)
+    with Waiting(links) as waiting:
         next_tick_ns = clock.now_ns() + period_ns
         while not session.runner.done:
-            wait_s = max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)
-            for key, _ in selector.select(wait_s):
-                for peer, data in links[key.data].receive():
-                    session.deliver(key.data, peer, data, clock.now_ns())
+            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
+                for peer, data in links[number].receive():
+                    session.deliver(number, peer, data, clock.now_ns())
             now_ns = clock.now_ns()
             if now_ns < next_tick_ns:
                 continue
             if not interrupts.apply(session, now_ns):
                 return
+            for link in links:
+                link.service(now_ns)
             for datagram in session.tick(now_ns):
                 links[datagram.link].send(datagram.peer, b"".join(datagram.frames))
             for watch in watchers:
                 watch(session, now_ns)
             next_tick_ns += period_ns * ((now_ns - next_tick_ns) // period_ns + 1)
+
+
+class Waiting:
+    """Waits for bytes on links whose connections come and go: the one place that blocks.
+
+    Args:
+        links: in the order of the numbers that ``wait`` returns.
+    """
+
+    def __init__(self, links: Sequence[Link]) -> None:
+        self._links = links
+        self._selector = selectors.DefaultSelector()
+        self._known: list[tuple[int, ...]] = [()] * len(links)
+
+    def __enter__(self) -> Waiting:
+        """Returns itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Gives the selector back; the links stay open."""
+        self._selector.close()
+
+    def wait(self, timeout_s: float) -> list[int]:
+        """Waits until bytes arrive, at most for a time; returns the numbers of the links that have some."""
+        for number, link in enumerate(self._links):
+            now = tuple(link.sources())
+            if now != self._known[number]:
+                # A descriptor that was closed has left the selector by itself, and its number may be in use again.
+                for descriptor in self._known[number]:
+                    with suppress(KeyError, ValueError, OSError):
+                        self._selector.unregister(descriptor)
+                for descriptor in now:
+                    self._selector.register(descriptor, selectors.EVENT_READ, number)
+                self._known[number] = now
+        return sorted({key.data for key, _ in self._selector.select(timeout_s)})

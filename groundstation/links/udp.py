@@ -1,36 +1,45 @@
 """UDP links: sockets that never block, and never raise into a flight.
 
-A listening link (``udpin://``) answers each peer at the address that it was last heard from. A peer that has gone
-away makes the operating system report errors on later calls; they are counted and passed over.
+A listening link (``udpin://``) answers each peer at the address that it was last heard from; a speaking one
+(``udpout://``) knows its peer from the start and takes answers from anybody. A peer that has gone away makes the
+operating system report errors on later calls; they are counted and passed over.
 """
 
 from __future__ import annotations
 
 import socket
 from dataclasses import dataclass, field
-from urllib.parse import urlsplit
 
 from groundstation.core.errors import UserError
+from groundstation.mavlink.addresses import parse_address
 
 _DATAGRAM_MAX = 65_535
 _BURST_MAX = 2_000  # datagrams taken in one call, so that a flood cannot keep the tick waiting
 _BUFFER_BYTES = 4 << 20
+_PEERS_MAX = 1_000
 
 
 @dataclass
 class UdpLink:
-    """One bound UDP socket.
-
-    Attributes:
-        url: as the mission writes it.
-        socket: for a selector to wait on.
-        errors: datagrams that the operating system did not take or deliver.
-    """
+    """One bound UDP socket; see ``Link``."""
 
     url: str
     socket: socket.socket
     errors: int = 0
+    state: str = ""
     _addresses: dict[str, tuple[str, int]] = field(default_factory=dict)
+    _peers: tuple[str, ...] = ()
+
+    def sources(self) -> tuple[int, ...]:
+        """The socket."""
+        return (self.socket.fileno(),)
+
+    def service(self, now_ns: int) -> None:
+        """Nothing is ever due."""
+
+    def peers(self) -> tuple[str, ...]:
+        """The other end of ``udpout://``."""
+        return self._peers
 
     def receive(self) -> list[tuple[str, bytes]]:
         """Takes what has arrived: (peer as ``host:port``, datagram) each, in order of arrival."""
@@ -44,7 +53,8 @@ class UdpLink:
                 self.errors += 1
                 continue
             peer = f"{address[0]}:{address[1]}"
-            self._addresses[peer] = (address[0], address[1])
+            if peer in self._addresses or len(self._addresses) < _PEERS_MAX:
+                self._addresses[peer] = (address[0], address[1])
             arrived.append((peer, data))
         return arrived
 
@@ -59,36 +69,46 @@ class UdpLink:
         except OSError:
             self.errors += 1
 
+    def close(self) -> None:
+        """Closes the socket."""
+        self.socket.close()
+
     def __enter__(self) -> UdpLink:
         """Returns itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
         """Closes the socket."""
-        self.socket.close()
+        self.close()
 
 
 def open_udp(url: str) -> UdpLink:
-    """Opens ``udpin://HOST:PORT``.
+    """Opens ``udpin://HOST:PORT`` or ``udpout://HOST:PORT``.
 
     Raises:
-        UserError: another form, or an address that cannot be listened on.
+        UserError: another form, or an address that cannot be had.
     """
+    address = parse_address(url)
+    if address.kind not in ("udpin", "udpout"):
+        raise UserError(f"link {url}: expected udpin://HOST:PORT or udpout://HOST:PORT")
+    listens = address.kind == "udpin"
+    item: socket.socket | None = None
     try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        parts, host, port = urlsplit(""), None, None
-    if parts.scheme != "udpin" or host is None or port is None:
-        raise UserError(f"link {url}: expected udpin://HOST:PORT, for example udpin://127.0.0.1:14540")
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0][0]
-        listening = socket.socket(family, socket.SOCK_DGRAM)
-        listening.setblocking(False)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-        listening.bind((host, port))
+        family, _, _, _, there = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
+        item = socket.socket(family, socket.SOCK_DGRAM)
+        item.setblocking(False)
+        item.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        item.bind((address.host, address.port) if listens else ("", 0))
     except OSError as error:
-        raise UserError(
-            f"link {url}: cannot listen: {error.strerror or error}; is another ground station using the port?"
-        ) from None
-    return UdpLink(url, listening)
+        if item is not None:
+            item.close()
+        what = "cannot listen" if listens else "cannot be reached"
+        remedy = "is another ground station using the port?" if listens else "correct the address"
+        raise UserError(f"link {url}: {what}: {error.strerror or error}; {remedy}") from None
+    link = UdpLink(url, item)
+    if not listens:
+        host, port = str(there[0]), int(there[1])
+        peer = f"{host}:{port}"
+        link._addresses[peer] = (host, port)
+        link._peers = (peer,)
+    return link

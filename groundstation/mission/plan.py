@@ -28,11 +28,10 @@ from groundstation.design.store import (
     save_gains,
     to_formation,
 )
+from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mission.profiles import PROFILES, VehicleProfile, slowest
 from groundstation.mission.schema import MissionSpec
-
-_LINK_KINDS = ("udpin://",)
 
 
 @dataclass(frozen=True)
@@ -227,8 +226,10 @@ def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> Non
             raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
         if vehicle.profile not in PROFILES:
             raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(PROFILES)}")
-        if not vehicle.link.startswith(_LINK_KINDS):
-            raise UserError(f"{key}.link: {vehicle.link}: expected udpin://HOST:PORT")
+        try:
+            parse_address(vehicle.link)
+        except UserError as error:
+            raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
 
 
 def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, source: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +19,7 @@ from groundstation.app.progress import FlightDisplay
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
-from groundstation.links.udp import open_udp
+from groundstation.links.opening import open_link
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
@@ -87,7 +87,7 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     session = Session(Runner(plan, 0, check_only=True), None)
     interrupts = Interrupts()
     with ExitStack() as stack:
-        links = [stack.enter_context(open_udp(url)) for url in plan.links]
+        links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
         display = stack.enter_context(FlightDisplay(out.console, plan))
         stack.enter_context(interrupts.listening())
         fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=(display,), interrupts=interrupts)
@@ -156,7 +156,7 @@ def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realt
 def _real_flight(out: Output, plan: MissionPlan, log_path: Path, *, emulated_seed: int | None) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
     with ExitStack() as stack:
-        links = [stack.enter_context(open_udp(url)) for url in plan.links]
+        links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
         meter = None
         if emulated_seed is not None:
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed)))

@@ -1,0 +1,83 @@
+"""What every link can do, whatever carries its bytes.
+
+A link never blocks, never raises into a flight and never waits: its owner waits on ``sources``, says what time it is,
+and the link takes, sends, and finds its way back when the other end has gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+RETRY_NS = 1_000_000_000
+"""Time between two attempts to open what has gone away."""
+BACKLOG_BYTES = 4_096
+"""What a stream keeps for an other end that does not take it now; more than that is old news and is left out."""
+
+
+class Link(Protocol):
+    """One way to one or many vehicles.
+
+    Attributes:
+        url: as the mission writes it.
+        errors: datagrams that could not be sent or taken.
+    """
+
+    url: str
+    errors: int
+
+    def sources(self) -> Sequence[int]:
+        """File descriptors to wait on for bytes; they change when a connection comes or goes."""
+
+    def service(self, now_ns: int) -> None:
+        """Does what is due: opens again what has gone away, sends what could not be sent before.
+
+        Args:
+            now_ns: monotonic time; not necessarily that of other links.
+        """
+
+    def receive(self) -> list[tuple[str, bytes]]:
+        """Takes what has arrived: (peer, bytes) each, in order of arrival."""
+
+    def send(self, peer: str, data: bytes) -> None:
+        """Sends whole frames to a peer that was heard from (or to ``peers``); what cannot be sent is counted."""
+
+    def peers(self) -> Sequence[str]:
+        """Whom one may speak to before having heard anything: who connects rather than listens."""
+
+    @property
+    def state(self) -> str:
+        """What is wrong with the link, for people; empty while it works."""
+
+    def close(self) -> None:
+        """Gives everything back."""
+
+
+class Backlog:
+    """Bytes that a stream could not take yet; whole pieces or nothing, so that no frame is cut in the middle."""
+
+    def __init__(self) -> None:
+        self._waiting = bytearray()
+
+    def add(self, data: bytes) -> bool:
+        """Appends a piece; returns False, leaving it out, when too much waits already."""
+        if self._waiting and len(self._waiting) + len(data) > BACKLOG_BYTES:
+            return False
+        self._waiting += data
+        return True
+
+    def __bool__(self) -> bool:
+        """Whether anything waits."""
+        return bool(self._waiting)
+
+    def head(self) -> bytes:
+        """What waits."""
+        return bytes(self._waiting)
+
+    def taken(self, count: int) -> None:
+        """Forgets the first bytes: they are on their way."""
+        del self._waiting[:count]
+
+    def clear(self) -> None:
+        """Forgets everything: the connection has gone."""
+        self._waiting.clear()

@@ -1,0 +1,35 @@
+"""From an address to an open link: the one place that knows every kind."""
+
+from __future__ import annotations
+
+from groundstation.core.errors import UserError
+from groundstation.links.link import Link
+from groundstation.links.tcp import TcpClientLink, TcpServerLink
+from groundstation.links.udp import open_udp
+from groundstation.mavlink.addresses import parse_address
+
+
+def open_link(url: str) -> Link:
+    """Opens a link.
+
+    What may come later (a vehicle that connects, a radio that is plugged in) is waited for by the link; what will not
+    come right by waiting is refused.
+
+    Args:
+        url: see ``addresses``.
+
+    Raises:
+        UserError: a wrong address, a port in use, a device that may not be opened.
+    """
+    address = parse_address(url)
+    if address.through_mavsdk:
+        raise UserError(f"link {url}: links through MAVSDK are not there yet; leave mavsdk:// out")
+    if address.kind == "serial":
+        from groundstation.links.serial_port import SerialLink  # noqa: PLC0415 - most flights have no serial port
+
+        return SerialLink(address)
+    if address.kind == "tcpout":
+        return TcpClientLink(address)
+    if address.kind == "tcpin":
+        return TcpServerLink(address)
+    return open_udp(url)
