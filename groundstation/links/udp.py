@@ -108,7 +108,7 @@ def open_udp(url: str) -> UdpLink:
     link = UdpLink(url, item)
     if not listens:
         host, port = str(there[0]), int(there[1])
-        peer = f"{host}:{port}"
-        link._addresses[peer] = (host, port)
-        link._peers = (peer,)
+        for name in (address.peer, f"{host}:{port}"):  # as written, and as answers will come
+            link._addresses[name] = (host, port)
+        link._peers = (address.peer,)
     return link

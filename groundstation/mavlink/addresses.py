@@ -49,6 +49,13 @@ class LinkAddress:
         return self.kind in ("tcpout", "tcpin", "serial") and not self.through_mavsdk
 
     @property
+    def peer(self) -> str:
+        """Name of the other end where it is known before it speaks, "" on a listening link."""
+        if self.through_mavsdk or self.kind == "serial":
+            return self.device or f"{self.host}:{self.port}"
+        return f"{self.host}:{self.port}" if self.kind in ("udpout", "tcpout") else ""
+
+    @property
     def bytes_per_s(self) -> float:
         """What the wire carries each way; infinite where the address does not say."""
         return self.baud / _BITS_PER_BYTE if self.kind == "serial" else float("inf")

@@ -13,9 +13,11 @@ from groundstation.mavlink.codec import message_id
 from groundstation.mavlink.commands import Command
 
 CMD_NAV_LAND = 21
+CMD_NAV_TAKEOFF = 22
 CMD_DO_SET_MODE = 176
 CMD_COMPONENT_ARM_DISARM = 400
 CMD_SET_MESSAGE_INTERVAL = 511
+CMD_REQUEST_MESSAGE = 512
 _CUSTOM_MODE_ENABLED = 1.0
 
 MASK_VELOCITY_AND_YAW = 0x09C7
@@ -28,6 +30,10 @@ class Autopilot(ABC):
 
     name: str
     mav_autopilot: int
+    takes_origin = False
+    """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
+    chatter: tuple[str, ...] = ()
+    """Streams that it may send unasked and that nobody here needs; stopped on narrow links."""
 
     def arm(self) -> Command:
         """Command that arms, with the autopilot's own checks."""
@@ -43,6 +49,21 @@ class Autopilot(ABC):
         return Command(
             f"{rate_hz:g} Hz of {message}", CMD_SET_MESSAGE_INTERVAL, (float(message_id(message)), float(interval_us))
         )
+
+    def silence(self, message: str) -> Command:
+        """Command that stops a stream."""
+        return Command(f"no {message}", CMD_SET_MESSAGE_INTERVAL, (float(message_id(message)), -1.0))
+
+    def once(self, message: str) -> Command:
+        """Command that asks for one message now."""
+        return Command(f"one {message}", CMD_REQUEST_MESSAGE, (float(message_id(message)),))
+
+    def takeoff(self, height_m: float) -> Command | None:
+        """Command that climbs to a height above where it stands, None where velocity setpoints do it.
+
+        With a command, setpoints begin only when the climb is over: they would end it.
+        """
+        return None
 
     @abstractmethod
     def streaming_mode(self) -> Command:
@@ -73,6 +94,11 @@ class Px4(Autopilot):
 
     name = "px4"
     mav_autopilot = 12  # MAV_AUTOPILOT_PX4
+    takes_origin = True
+    chatter = (
+        "ATTITUDE", "HIGHRES_IMU", "ODOMETRY", "ALTITUDE", "VFR_HUD", "POSITION_TARGET_LOCAL_NED", "GPS_RAW_INT",
+        "TIMESYNC", "ESTIMATOR_STATUS", "BATTERY_STATUS", "HOME_POSITION", "SYSTEM_TIME",
+    )  # fmt: skip
     _MAIN_OFFBOARD = 6
     _MAIN_AUTO = 4
     _SUB_LAND = 6
@@ -107,4 +133,43 @@ class Px4(Autopilot):
         return self._MAIN_NAMES.get(main, f"mode {custom_mode}")
 
 
-AUTOPILOTS: dict[str, Autopilot] = {autopilot.name: autopilot for autopilot in (Px4(),)}
+class ArduCopter(Autopilot):
+    """ArduCopter: GUIDED needs a position estimate and no setpoints; only a takeoff command lifts off.
+
+    custom_mode is the mode number (ArduCopter's mode.h).
+    """
+
+    name = "arducopter"
+    mav_autopilot = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
+    _GUIDED, _LAND = 4, 9
+    _NAMES = {  # noqa: RUF012 - never written to
+        0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
+        16: "POSHOLD", 17: "BRAKE", 20: "GUIDED_NOGPS", 21: "SMART_RTL",
+    }  # fmt: skip
+
+    def takeoff(self, height_m: float) -> Command:
+        """NAV_TAKEOFF: the height is above home, which is where it was armed; it must be in GUIDED and armed."""
+        return Command("takeoff", CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, math.nan, 0.0, 0.0, height_m))
+
+    def streaming_mode(self) -> Command:
+        """DO_SET_MODE to GUIDED."""
+        return Command("GUIDED mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, float(self._GUIDED)))
+
+    def is_streaming_mode(self, custom_mode: int) -> bool:
+        """GUIDED."""
+        return custom_mode == self._GUIDED
+
+    def land(self) -> Command:
+        """DO_SET_MODE to LAND: it comes down where it is, and disarms."""
+        return Command("LAND mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, float(self._LAND)))
+
+    def is_landing_mode(self, custom_mode: int) -> bool:
+        """LAND."""
+        return custom_mode == self._LAND
+
+    def mode_name(self, custom_mode: int) -> str:
+        """For example GUIDED."""
+        return self._NAMES.get(custom_mode, f"mode {custom_mode}")
+
+
+AUTOPILOTS: dict[str, Autopilot] = {autopilot.name: autopilot for autopilot in (Px4(), ArduCopter())}

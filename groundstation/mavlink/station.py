@@ -7,8 +7,8 @@ stop when the controller stops. Decides nothing about the mission.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,8 @@ GROUND_STATION_SYSID = 255
 GROUND_STATION_COMPID = 190  # MAV_COMP_ID_MISSIONPLANNER, what ground stations use
 _HEARTBEAT_NS = 1_000_000_000
 _TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
+_TIMESYNC_EAGER_NS, _TIMESYNC_NS = 200_000_000, 2_000_000_000
+_TIMESYNC_ENOUGH = 10  # round trips after which there is no hurry
 _PEERS_MAX = 1000  # addresses whose streams are kept apart; a flood of new ones cannot take the memory
 
 
@@ -39,9 +41,13 @@ class Station:
     Args:
         fleet: state to be kept up to date.
         start_ns: time that goes out as "since boot", taken as zero.
+        streams: links on which a frame may arrive in two pieces.
+        greeted: (link, peer) of those that wait to be spoken to; they get heartbeats until somebody is heard there.
     """
 
-    def __init__(self, fleet: Fleet, start_ns: int) -> None:
+    def __init__(
+        self, fleet: Fleet, start_ns: int, *, streams: Collection[int] = (), greeted: Sequence[tuple[int, str]] = ()
+    ) -> None:
         self.fleet = fleet
         self.commands = CommandQueue(len(fleet))
         self.setpoints_sent = 0
@@ -50,6 +56,9 @@ class Station:
         self._splitters: dict[tuple[int, str], FrameSplitter] = {}
         self._received: list[ReceivedFrame] = []
         self._next_heartbeat_ns = start_ns
+        self._next_timesync_ns = start_ns
+        self._streams, self._greeted = frozenset(streams), tuple(greeted)
+        self._extra: list[tuple[int, bytes]] = []
 
     def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes one datagram (or piece of a stream); nothing is acted upon before ``ingest``.
@@ -65,7 +74,7 @@ class Station:
             if len(self._splitters) >= _PEERS_MAX:
                 self.fleet.counts["datagram from one address too many"] += 1
                 return
-            splitter = self._splitters[link, peer] = FrameSplitter()
+            splitter = self._splitters[link, peer] = FrameSplitter(datagrams=link not in self._streams)
         for piece in splitter.feed(data):
             if isinstance(piece, Frame):
                 self._received.append(ReceivedFrame(piece, link, peer, t_rx_ns))
@@ -80,6 +89,10 @@ class Station:
         for ack in self.fleet.take_acks():
             self.commands.acknowledge(ack)
 
+    def send(self, vehicle: int, message: str, **fields: Any) -> None:
+        """Puts one message, fields in wire units, into the next ``transmit``."""
+        self._extra.append((vehicle, self._encoder.encode(message, **fields)))
+
     def transmit(
         self, now_ns: int, vel_ned_m_s: FloatArray, yaw_ned_rad: FloatArray, streaming: BoolArray
     ) -> list[Outgoing]:
@@ -92,7 +105,7 @@ class Station:
             streaming: which vehicles get a setpoint, shape (n,).
 
         Returns:
-            At most one datagram per vehicle; vehicles never heard from get nothing.
+            At most one datagram per vehicle; vehicles never heard from get nothing but a greeting, where one is due.
         """
         fleet = self.fleet
         frames: list[list[bytes]] = [[] for _ in range(len(fleet))]
@@ -113,15 +126,45 @@ class Station:
                     **params,
                 )
             )
+        for vehicle, raw in self._extra:
+            frames[vehicle].append(raw)
+        self._extra.clear()
+        outgoing = []
+        self._synchronise(now_ns, frames)
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
-            for vehicle in range(len(fleet)):
+            for vehicle in self._one_per_peer():
                 frames[vehicle].append(self._heartbeat())
-        outgoing = []
-        for vehicle, peer in enumerate(fleet.peer):
-            if peer is not None and frames[vehicle]:
-                outgoing.append(Outgoing(int(fleet.link[vehicle]), peer, tuple(frames[vehicle])))
+            heard = {int(link) for link, peer in zip(fleet.link, fleet.peer, strict=True) if peer is not None}
+            for link, peer in self._greeted:
+                if link not in heard:
+                    outgoing.append(Outgoing(link, peer, (self._heartbeat(),)))
+        for vehicle, peer_or_none in enumerate(fleet.peer):
+            if peer_or_none is not None and frames[vehicle]:
+                outgoing.append(Outgoing(int(fleet.link[vehicle]), peer_or_none, tuple(frames[vehicle])))
         return outgoing
+
+    def _one_per_peer(self) -> list[int]:
+        """The first vehicle of every address that was heard from."""
+        first: dict[tuple[int, str], int] = {}
+        for vehicle, peer in enumerate(self.fleet.peer):
+            if peer is not None:
+                first.setdefault((int(self.fleet.link[vehicle]), peer), vehicle)
+        return list(first.values())
+
+    def _synchronise(self, now_ns: int, frames: list[list[bytes]]) -> None:
+        """Asks for the vehicles' time, once for all behind one address: all of them answer."""
+        clocks = self.fleet.clocks
+        if now_ns < self._next_timesync_ns:
+            return
+        peers = self.fleet.peer
+        hurry = any(peer is not None and clocks.samples[i] < _TIMESYNC_ENOUGH for i, peer in enumerate(peers))
+        self._next_timesync_ns = now_ns + (_TIMESYNC_EAGER_NS if hurry else _TIMESYNC_NS)
+        for vehicle in self._one_per_peer():
+            frames[vehicle].append(self._encoder.encode("TIMESYNC", tc1=0, ts1=now_ns))
+        for vehicle, peer in enumerate(peers):
+            if peer is not None:
+                clocks.asked(vehicle, now_ns)
 
     def _setpoints(
         self, now_ns: int, vel_ned_m_s: FloatArray, yaw_ned_rad: FloatArray, rows: Sequence[int] | np.ndarray

@@ -4,7 +4,8 @@ Takes frames with the time of their arrival and keeps the newest value of everyt
 systems that are not on the list change nothing and are counted. Decides nothing: monitors and autopilot classes
 read this state.
 
-Times are integers in ns on the clock that the caller passes in. Unknown is NaN, ``NEVER`` or ``UNKNOWN``, not 0.
+Times are integers in ns on the clock that the caller passes in; those of poses are when the vehicle measured them,
+as far as its clock is known (``clocks``). Unknown is NaN, ``NEVER`` or ``UNKNOWN``, not 0.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.codec import Batch, Frame, decode
+from groundstation.mavlink.clocks import BootTimes, Clocks
+from groundstation.mavlink.codec import Batch, Frame, decode, message_id
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -27,6 +30,16 @@ AUTOPILOT_COMPID = 1
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 _TYPE_GCS = 6  # MAV_TYPE_GCS
+_HEARTBEAT = message_id("HEARTBEAT")
+_PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from another address
+_RIVAL_NS = 5_000_000_000
+_QUATERNION_OLD_NS = 500_000_000  # only then is the attitude taken from Euler angles
+_ORIGIN_SAME_M = 0.05
+_ORIGINS_NS = 10_000_000_000
+_ELSEWHERE_MAX = 2_000
+_METRES_PER_DEGREE = 111_320.0
+COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "ATTITUDE")
+"""Message types whose rate is looked after."""
 
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
@@ -83,9 +96,20 @@ class Fleet:
         system_status: MAV_STATE, UNKNOWN before, shape (n,).
         pos_local_ned_m: newest valid LOCAL_POSITION_NED, in each vehicle's own origin, NaN before, shape (n, 3).
         vel_ned_m_s: velocity of the same message, shape (n, 3).
-        pose_ns: arrival of that message, shape (n,).
+        pose_ns: when that was measured, shape (n,).
+        place_deg_m: latitude, longitude (degrees) and height above sea level of the newest GLOBAL_POSITION_INT,
+            NaN before, shape (n, 3).
+        place_vel_ned_m_s: velocity of the same message, shape (n, 3).
+        place_ns: when that was measured, shape (n,).
+        origin_deg_m: the estimator's origin as the newest GPS_GLOBAL_ORIGIN tells it, NaN before, shape (n, 3).
+        origin_ns: its arrival, shape (n,).
+        origin_moved_ns: arrival of the last origin that differed from the one before, shape (n,).
+        origin_moved_m: by how much, shape (n,).
         quat_ned_from_frd: newest valid attitude, w x y z, w >= 0, NaN before, shape (n, 4).
-        attitude_ns: arrival of that attitude, shape (n,).
+        attitude_ns: when that was measured, shape (n,).
+        seen: messages so far by type, of those in ``COUNTED``, shape (n,) each.
+        clocks: the vehicles' clocks on ours.
+        restarts: times that a vehicle was seen to start anew, shape (n,).
         landed_state: MAV_LANDED_STATE, 0 (undefined) before, shape (n,).
         prearm_ok: the autopilot's own arming checks pass, shape (n,).
         status_ns: arrival of the last SYS_STATUS, shape (n,).
@@ -106,17 +130,32 @@ class Fleet:
         self.pos_local_ned_m: FloatArray = np.full((n, 3), np.nan)
         self.vel_ned_m_s: FloatArray = np.full((n, 3), np.nan)
         self.pose_ns = _times(n)
+        self.place_deg_m: FloatArray = np.full((n, 3), np.nan)
+        self.place_vel_ned_m_s: FloatArray = np.full((n, 3), np.nan)
+        self.place_ns = _times(n)
+        self.origin_deg_m: FloatArray = np.full((n, 3), np.nan)
+        self.origin_ns = _times(n)
+        self.origin_moved_ns = _times(n)
+        self.origin_moved_m: FloatArray = np.zeros(n)
         self.quat_ned_from_frd: FloatArray = np.full((n, 4), np.nan)
         self.attitude_ns = _times(n)
         self.landed_state: IntArray = np.zeros(n, dtype=np.int64)
         self.prearm_ok: BoolArray = np.zeros(n, dtype=np.bool_)
         self.status_ns = _times(n)
         self.battery_remaining: FloatArray = np.full(n, np.nan)
+        self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
+        self.clocks = Clocks(n)
+        self.restarts: IntArray = np.zeros(n, dtype=np.int64)
         self.counts: Counter[str] = Counter()
         self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
         self._acks: list[Ack] = []
         self._texts: list[Text] = []
         self._timesync: list[TimesyncRequest] = []
+        self._peer_ns = _times(n)
+        self._quaternion_ns = _times(n)
+        self._position_times, self._place_times, self._attitude_times = BootTimes(n), BootTimes(n), BootTimes(n)
+        self._rivals: list[tuple[str, int] | None] = [None] * n
+        self._elsewhere: dict[tuple[int, int], int] = {}
 
     def __len__(self) -> int:
         """Number of vehicles, n."""
@@ -134,14 +173,18 @@ class Fleet:
             row = self._row_of.get(item.frame.sysid)
             if row is None:
                 self.counts["unknown system"] += 1
+                if item.frame.compid == AUTOPILOT_COMPID and len(self._elsewhere) < _ELSEWHERE_MAX:
+                    self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
             elif item.frame.compid != AUTOPILOT_COMPID:
                 self.counts["other component"] += 1
             elif item.link != self.link[row]:
                 self.counts["wrong link"] += 1
+                self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
+            elif not self._from_its_address(row, item):
+                self.counts["second sender under a vehicle's id"] += 1
             else:
                 accepted.append(item)
                 rows.append(row)
-                self.peer[row] = item.peer
         if not accepted:
             return
         row_of_frame = np.array(rows, dtype=np.int64)
@@ -150,6 +193,41 @@ class Fleet:
             handler = _HANDLERS.get(batch.name)
             if handler is not None:
                 handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
+
+    def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
+        """Whether a frame comes from where the vehicle is; it may move only after a silence."""
+        if self.peer[row] != item.peer:
+            if self.peer[row] is not None and item.t_rx_ns - int(self._peer_ns[row]) < _PEER_SILENT_NS:
+                if item.frame.msgid == _HEARTBEAT:
+                    self._rivals[row] = (item.peer, item.t_rx_ns)
+                return False
+            self.peer[row] = item.peer
+        self._peer_ns[row] = item.t_rx_ns
+        return True
+
+    def twin(self, vehicle: int, now_ns: int) -> str | None:
+        """Tells of a second vehicle that speaks under this one's system id; None when there is none."""
+        rival = self._rivals[vehicle]
+        if rival is not None and now_ns - rival[1] < _RIVAL_NS:
+            return f"two vehicles say that they are {self.sysid[vehicle]}, at {self.peer[vehicle]} and {rival[0]}"
+        times = (self._position_times, self._place_times, self._attitude_times)
+        if any(item.two_at_once(vehicle, now_ns) for item in times):
+            return (
+                f"two vehicles say that they are {self.sysid[vehicle]}, both at {self.peer[vehicle]}: their times"
+                " since start-up alternate"
+            )
+        return None
+
+    def strangers(self, link: int, now_ns: int) -> list[int]:
+        """System ids heard on a link in the last seconds that are not expected there."""
+        ids = (sysid for (sysid, where), t_ns in self._elsewhere.items() if where == link and now_ns - t_ns < _RIVAL_NS)
+        return sorted(ids)
+
+    def links_of(self, sysid: int, now_ns: int) -> list[int]:
+        """Links on which a system id was heard in the last seconds without being expected there."""
+        return sorted(
+            where for (name, where), t_ns in self._elsewhere.items() if name == sysid and now_ns - t_ns < _RIVAL_NS
+        )
 
     def take_acks(self) -> list[Ack]:
         """Hands out the command acknowledgements since the last call."""
@@ -178,29 +256,96 @@ class Fleet:
         self.armed[row] = values["base_mode"] & _ARMED_FLAG != 0
         self.system_status[row] = values["system_status"]
 
+    def _when(self, times: BootTimes, batch: Batch, row: IntArray, t_ns: IntArray) -> tuple[BoolArray, IntArray]:
+        """Which rows of a batch are news, and when all of them were measured."""
+        boot_ms = batch.values["time_boot_ms"].astype(np.int64)
+        fresh, restarted = times.take(row, boot_ms, t_ns)
+        for vehicle in restarted:
+            self._start_anew(vehicle)
+        if not fresh.all():
+            self.counts["older than what was there"] += int((~fresh).sum())
+        return fresh, self.clocks.measured_ns(row, boot_ms, t_ns)
+
+    def _start_anew(self, vehicle: int) -> None:
+        """Forgets what a vehicle that has started anew no longer stands for."""
+        self.restarts[vehicle] += 1
+        self.clocks.forget(vehicle)
+        self.origin_deg_m[vehicle] = np.nan
+        self.origin_ns[vehicle] = NEVER
+        self.prearm_ok[vehicle] = False
+
     def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
+        np.add.at(self.seen["LOCAL_POSITION_NED"], row, 1)
         position = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
         velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1).astype(np.float64)
-        valid = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
+        number = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
+        fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
+        valid = number & fresh
         if not valid.all():
-            self.counts["position that is not a number"] += int((~valid).sum())
-            position, velocity, row, t_ns = position[valid], velocity[valid], row[valid], t_ns[valid]
+            self.counts["position that is not a number"] += int((~number).sum())
+            position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
         self.pos_local_ned_m[row] = position
         self.vel_ned_m_s[row] = velocity
-        self.pose_ns[row] = t_ns
+        self.pose_ns[row] = measured_ns
+
+    def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        values = batch.values
+        np.add.at(self.seen["GLOBAL_POSITION_INT"], row, 1)
+        fresh, measured_ns = self._when(self._place_times, batch, row, t_ns)
+        known = (values["lat"] != 0) | (values["lon"] != 0)  # autopilots send zeros before they know
+        valid = fresh & known
+        place = _place(values["lat"], values["lon"], values["alt"])
+        velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1) * 0.01
+        self.place_deg_m[row[valid]] = place[valid]
+        self.place_vel_ned_m_s[row[valid]] = velocity[valid]
+        self.place_ns[row[valid]] = measured_ns[valid]
+
+    def _origin(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        values = batch.values
+        places = _place(values["latitude"], values["longitude"], values["altitude"])
+        for vehicle, place, t in zip(row.tolist(), places, t_ns.tolist(), strict=True):
+            north_m, east_m = (place[:2] - self.origin_deg_m[vehicle, :2]) * _METRES_PER_DEGREE
+            east_m *= np.cos(np.radians(place[0]))
+            moved_m = float(np.sqrt(north_m**2 + east_m**2 + (place[2] - self.origin_deg_m[vehicle, 2]) ** 2))
+            if moved_m > _ORIGIN_SAME_M:  # not with NaN, that is: not the first time
+                self.origin_moved_ns[vehicle], self.origin_moved_m[vehicle] = t, moved_m
+            self.origin_deg_m[vehicle] = place
+            self.origin_ns[vehicle] = t
+
+    def origin_unsteady(self, vehicle: int, now_ns: int) -> bool:
+        """Whether the vehicle's origin has moved in the last ten seconds."""
+        return now_ns - int(self.origin_moved_ns[vehicle]) < _ORIGINS_NS
 
     def _attitude_quaternion(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
+        np.add.at(self.seen["ATTITUDE_QUATERNION"], row, 1)
         quat = np.stack([values["q1"], values["q2"], values["q3"], values["q4"]], axis=1).astype(np.float64)
         norm = np.linalg.norm(quat, axis=1)
-        valid = np.isfinite(norm) & (np.abs(norm - 1.0) < 0.05)
+        rotation = np.isfinite(norm) & (np.abs(norm - 1.0) < 0.05)
+        fresh, measured_ns = self._when(self._attitude_times, batch, row, t_ns)
+        valid = rotation & fresh
         if not valid.all():
-            self.counts["attitude that is no rotation"] += int((~valid).sum())
-            quat, norm, row, t_ns = quat[valid], norm[valid], row[valid], t_ns[valid]
+            self.counts["attitude that is no rotation"] += int((~rotation).sum())
+            quat, norm, row = quat[valid], norm[valid], row[valid]
+            measured_ns, t_ns = measured_ns[valid], t_ns[valid]
         quat /= norm[:, None]
         self.quat_ned_from_frd[row] = np.where(quat[:, :1] < 0, -quat, quat)
-        self.attitude_ns[row] = t_ns
+        self.attitude_ns[row] = measured_ns
+        self._quaternion_ns[row] = t_ns
+
+    def _attitude_euler(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        """Takes attitudes from those who send no quaternions."""
+        values = batch.values
+        np.add.at(self.seen["ATTITUDE"], row, 1)
+        needed = t_ns - self._quaternion_ns[row] > _QUATERNION_OLD_NS
+        if not needed.any():
+            return
+        euler = np.stack([values["roll"], values["pitch"], values["yaw"]]).astype(np.float64)
+        measured_ns = self.clocks.measured_ns(row, values["time_boot_ms"].astype(np.int64), t_ns)
+        valid = needed & np.isfinite(euler).all(axis=0) & (measured_ns >= self.attitude_ns[row])
+        self.quat_ned_from_frd[row[valid]] = frames.quat_ned_from_frd_of_euler(*euler[:, valid])
+        self.attitude_ns[row[valid]] = measured_ns[valid]
 
     def _sys_status(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
@@ -226,18 +371,28 @@ class Fleet:
         for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
             if int(values["tc1"]) == 0:
                 self._timesync.append(TimesyncRequest(int(vehicle), int(values["ts1"]), int(t)))
+            else:
+                self.clocks.answered(int(vehicle), int(values["tc1"]), int(values["ts1"]), int(t))
 
 
 _HANDLERS = {
     "HEARTBEAT": Fleet._heartbeat,
     "LOCAL_POSITION_NED": Fleet._local_position,
+    "GLOBAL_POSITION_INT": Fleet._global_position,
+    "GPS_GLOBAL_ORIGIN": Fleet._origin,
     "ATTITUDE_QUATERNION": Fleet._attitude_quaternion,
+    "ATTITUDE": Fleet._attitude_euler,
     "SYS_STATUS": Fleet._sys_status,
     "EXTENDED_SYS_STATE": Fleet._extended_state,
     "COMMAND_ACK": Fleet._command_ack,
     "STATUSTEXT": Fleet._statustext,
     "TIMESYNC": Fleet._timesync_message,
 }
+
+
+def _place(lat_e7: NDArray[np.int32], lon_e7: NDArray[np.int32], alt_mm: NDArray[np.int32]) -> FloatArray:
+    """Latitude and longitude in degrees and height in metres, shape (k, 3)."""
+    return np.stack([lat_e7 * 1e-7, lon_e7 * 1e-7, alt_mm * 1e-3], axis=1)
 
 
 def _times(n: int) -> NDArray[np.int64]:

@@ -19,7 +19,6 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
 
-_MARGIN_OF_POSITION_ERROR = 3.0  # how many standard deviations of a distance the damper keeps beside r
 _WALL_NORMALS_NED = np.vstack([-np.eye(3), np.eye(3)])
 
 
@@ -62,10 +61,13 @@ class Guide:
         spec, profile = plan.spec, plan.profile
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
-        self._region = SafetySphere(spec.avoidance.radius_m, spec.avoidance.activation_m)
+        # What two positions may be off against each other is added to r and d: then true distances stay above r.
+        self._region = SafetySphere(
+            spec.avoidance.radius_m + plan.margin_m, spec.avoidance.activation_m + plan.margin_m
+        )
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
-            margin_m=_MARGIN_OF_POSITION_ERROR * np.sqrt(2.0) * profile.position_error_m,
+            margin_m=plan.margin_m,
             lag_s=profile.lag_s,
             delay_s=profile.delay_s,
             tick_s=self._period_s,
@@ -74,7 +76,7 @@ class Guide:
         )
         # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.
         closing_m = 2.0 * spec.speed_limit_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
-        self._reach_m = max(spec.avoidance.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
+        self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
@@ -89,7 +91,14 @@ class Guide:
     def formation(self, poses: Poses, task: Task, control_gain: float) -> Setpoints:
         """One tick of (14) with avoidance, above the floor of formation flight."""
         views = self._views(poses, task.neighbours)
-        wish = formation_control(views, task, self._plan.scale, control_gain)
+        wish = formation_control(
+            views,
+            task,
+            self._plan.scale,
+            control_gain,
+            lead_s=self._plan.lead_s,
+            upright_1_s=self._plan.spec.upright_1_s,
+        )
         return self._finish(poses, views, wish, self._formation_box)
 
     def to_targets(self, poses: Poses, target_team_ned_m: FloatArray) -> Setpoints:

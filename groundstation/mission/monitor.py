@@ -1,4 +1,4 @@
-"""What can be wrong, on the ground and in the air, each with its limit, its reaction and its words.
+"""What can be wrong in the air, each with its limit, its reaction and its words.
 
 Looks at the fleet's state and says what should happen; ``runner`` does it. Keeps, per vehicle, what was already
 said, so that an alarm is one line and not fifty a second.
@@ -6,89 +6,17 @@ said, so that an alarm is one line and not fifty a second.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.core.types import BoolArray
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
+_DRIFTING_NS = _SECOND_NS
 _MODE_LOST_NS = 2_500_000_000  # two heartbeats, so that one from before our last request is not believed
-
-
-def ground_problems(
-    plan: MissionPlan, fleet: Fleet, now_ns: int, unanswered: Collection[int], refusals: Mapping[int, str]
-) -> tuple[list[str], list[str]]:
-    """Looks at vehicles that stand on their pads, before arming.
-
-    Args:
-        plan: limits and pads.
-        fleet: what the vehicles report.
-        now_ns: time of this look.
-        unanswered: vehicles that have not answered all requests yet.
-        refusals: what vehicles refused or warned of, by vehicle.
-
-    Returns:
-        What is not well yet and may pass with time, and what will not pass by waiting; a line for each vehicle.
-    """
-    waiting: list[str] = []
-    fatal: list[str] = []
-    limits = plan.spec.limits
-    for vehicle, spec in enumerate(plan.spec.vehicles):
-        name = f"vehicle {spec.id}"
-        if fleet.heartbeat_ns[vehicle] == NEVER:
-            waiting.append(f"{name}: no heartbeat on {spec.link}; switch it on, or correct its id or link")
-            continue
-        wrong = fleet.autopilot[vehicle] != plan.autopilots[vehicle].mav_autopilot
-        if wrong:
-            fatal.append(
-                f"{name}: its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}, {spec.autopilot} is"
-                f" {plan.autopilots[vehicle].mav_autopilot}; correct vehicles[{vehicle}].autopilot"
-            )
-            continue
-        if fleet.armed[vehicle]:
-            fatal.append(f"{name}: is armed already; disarm it before the mission")
-            continue
-        heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
-        pose_s = _age_s(now_ns, int(min(fleet.pose_ns[vehicle], fleet.attitude_ns[vehicle])))
-        if heartbeat_s > limits.heartbeat_age_s:
-            waiting.append(f"{name}: last heartbeat {heartbeat_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s")
-        elif vehicle in unanswered:
-            waiting.append(f"{name}: message rates asked for, not answered yet")
-        elif pose_s > limits.pose_age_s:
-            age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
-            waiting.append(
-                f"{name}: position and attitude: {age}, limit {limits.pose_age_s:g} s;"
-                " check its estimator and the message rates"
-            )
-        elif not fleet.prearm_ok[vehicle]:
-            said = refusals.get(vehicle)
-            waiting.append(f"{name}: not ready to arm{': ' + said if said else ''}; see what the autopilot asks for")
-        elif fleet.landed_state[vehicle] != LANDED_ON_GROUND:
-            waiting.append(
-                f"{name}: does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
-            )
-        elif fleet.battery_remaining[vehicle] < limits.battery_min:
-            fatal.append(
-                f"{name}: battery at {fleet.battery_remaining[vehicle]:.0%}, minimum is {limits.battery_min:.0%};"
-                " charge it"
-            )
-        else:
-            pad_ned = np.array([spec.pad_m[1], spec.pad_m[0], -spec.pad_m[2]]) if spec.origin == "team" else np.zeros(3)
-            off_m = float(np.linalg.norm(fleet.pos_local_ned_m[vehicle] - pad_ned))
-            if off_m > limits.pad_error_m:
-                waiting.append(
-                    f"{name}: reports a position {off_m:.2f} m from its pad, limit {limits.pad_error_m:g} m;"
-                    " put it on its pad, restart it there, or correct pad_m"
-                )
-    return waiting, fatal
-
-
-def _age_s(now_ns: int, then_ns: int) -> float:
-    return float("inf") if then_ns == NEVER else (now_ns - then_ns) / _SECOND_NS
 
 
 @dataclass
@@ -130,21 +58,34 @@ class Monitor:
         self._gone: BoolArray = np.zeros(n, dtype=np.bool_)
         self._mode_lost_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._battery_low: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._frame_lost: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._drift_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._twin: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._begun_ns = np.full(n, NEVER, dtype=np.int64)
+        self._restarts = np.zeros(n, dtype=np.int64)
 
-    def look(self, fleet: Fleet, now_ns: int, landing: BoolArray) -> Findings:
+    def begin(self, fleet: Fleet) -> None:
+        """Takes what is so now for what should stay so: origins, starts of the autopilots."""
+        self._begun_ns = fleet.origin_moved_ns.copy()
+        self._restarts = fleet.restarts.copy()
+
+    def look(
+        self, fleet: Fleet, now_ns: int, landing: BoolArray, pose_ns: FloatArray | IntArray, drift_m: FloatArray
+    ) -> Findings:
         """Looks at the fleet once per tick.
 
         Args:
             fleet: what the vehicles report.
             now_ns: time of the tick.
             landing: vehicles that were told to land, shape (n,); they may leave the streaming mode and disarm.
+            pose_ns: when each pose was measured, shape (n,).
+            drift_m: how far local and global positions disagree, shape (n,), NaN where not known.
 
         Returns:
             What should happen.
         """
         findings = Findings()
         limits = self._plan.spec.limits
-        pose_ns = np.minimum(fleet.pose_ns, fleet.attitude_ns)
         too_old = (now_ns - pose_ns > limits.pose_age_s * _SECOND_NS) & ~self._gone
         for vehicle in np.flatnonzero(too_old & ~self.hold):
             age_s = (now_ns - int(pose_ns[vehicle])) / _SECOND_NS
@@ -179,8 +120,40 @@ class Monitor:
                 f" {limits.battery_min:.0%}; everybody comes back",
                 abort=True,
             )
+        self._look_at_frames(fleet, now_ns, landing, drift_m, findings)
         self._look_at_modes(fleet, now_ns, landing, findings)
         return findings
+
+    def _look_at_frames(
+        self, fleet: Fleet, now_ns: int, landing: BoolArray, drift_m: FloatArray, findings: Findings
+    ) -> None:
+        """Positions that no longer mean what they meant: such a vehicle lands by itself, the others come back."""
+        drifting = drift_m > self._plan.frame_drift_m  # NaN is not
+        self._drift_since_ns = np.where(
+            drifting, np.where(self._drift_since_ns == NEVER, now_ns, self._drift_since_ns), NEVER
+        )
+        wrong = (fleet.origin_moved_ns > self._begun_ns) | (fleet.restarts > self._restarts)
+        wrong |= drifting & (now_ns - self._drift_since_ns >= _DRIFTING_NS)
+        for vehicle in np.flatnonzero(wrong & ~self._frame_lost & ~self._gone & ~landing).tolist():
+            self._frame_lost[vehicle] = True
+            if fleet.restarts[vehicle] > self._restarts[vehicle]:
+                what = "its autopilot has started anew"
+            elif fleet.origin_moved_ns[vehicle] > self._begun_ns[vehicle]:
+                what = f"its origin has moved by {fleet.origin_moved_m[vehicle]:.2f} m"
+            else:
+                what = (
+                    f"its local and global positions are {drift_m[vehicle]:.2f} m apart, limit"
+                    f" {self._plan.frame_drift_m:.2g} m"
+                )
+            findings.alarm(
+                f"vehicle {fleet.sysid[vehicle]}: {what}; it lands where it is, the others come back", abort=True
+            )
+            findings.land.append(vehicle)
+        for vehicle in range(len(fleet)):
+            twin = None if self._twin[vehicle] else fleet.twin(vehicle, now_ns)
+            if twin is not None:
+                self._twin[vehicle] = True
+                findings.alarm(f"vehicle {fleet.sysid[vehicle]}: {twin}; everybody comes back", abort=True)
 
     def _look_at_modes(self, fleet: Fleet, now_ns: int, landing: BoolArray, findings: Findings) -> None:
         ours = np.array(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,15 @@ from groundstation.design.store import (
     save_gains,
     to_formation,
 )
-from groundstation.mavlink.addresses import parse_address
+from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
+from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
+from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, margin_m
 from groundstation.mission.profiles import PROFILES, VehicleProfile, slowest
 from groundstation.mission.schema import MissionSpec
+
+_POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
+_POSE_HZ = 50.0
 
 
 @dataclass(frozen=True)
@@ -44,11 +49,16 @@ class MissionPlan:
         formation: points and sensing graph, ENU.
         gains: checked against the formation.
         gains_npz: the gains file that they came from, for the record.
-        profile: the slowest vehicle's figures.
+        profile: the slowest vehicle's figures, with the delay of the links and the error of the positions.
         control_gain: k that multiplies (14).
         scale: f of (14).
         links: link addresses, each once.
+        addresses: the same, read.
         link_of_vehicle: index into ``links`` per vehicle.
+        rates: of each link.
+        positioning: mocap, rtk or gps.
+        margin_m: what two positions may be off against each other; added to r and d.
+        lead_s: lag that the control law makes up for.
         autopilots: one per vehicle.
         pads_enu_m: shape (n, 3), team frame.
         min_altitude_m: nobody who flies the formation goes below, above the team frame's ground.
@@ -64,7 +74,12 @@ class MissionPlan:
     control_gain: float
     scale: ScaleFunction
     links: tuple[str, ...]
+    addresses: tuple[LinkAddress, ...]
     link_of_vehicle: tuple[int, ...]
+    rates: tuple[LinkRates, ...]
+    positioning: str
+    margin_m: float
+    lead_s: float
     autopilots: tuple[Autopilot, ...]
     pads_enu_m: FloatArray
     min_altitude_m: float
@@ -74,6 +89,34 @@ class MissionPlan:
     def size(self) -> int:
         """Number of vehicles, n."""
         return len(self.spec.vehicles)
+
+    @property
+    def stream_links(self) -> tuple[int, ...]:
+        """Links on which a frame may arrive in two pieces."""
+        return tuple(number for number, address in enumerate(self.addresses) if address.is_stream)
+
+    @property
+    def pad_error_m(self) -> float:
+        """How far from its pad a vehicle may report to stand."""
+        return self.spec.limits.pad_error_m or 0.3 + (self.margin_m if self.positioning == "gps" else 0.0)
+
+    @property
+    def frame_drift_m(self) -> float:
+        """How far a vehicle's two positions, local and global, may drift apart."""
+        return self.spec.limits.frame_drift_m or 0.5 + self.margin_m
+
+    def rates_of(self, vehicle: int) -> LinkRates:
+        """Rates of a vehicle."""
+        return self.rates[self.link_of_vehicle[vehicle]]
+
+    def position_message(self, vehicle: int) -> str:
+        """Message type that a vehicle's positions come in."""
+        return _POSITION_MESSAGES[self.spec.vehicles[vehicle].position]
+
+    def uses_gps(self, vehicle: int) -> bool:
+        """Whether a vehicle's place in the team frame comes from its place on earth."""
+        spec = self.spec.vehicles[vehicle]
+        return spec.position == "global" or spec.origin == "gps"
 
     def record(self) -> dict[str, Any]:
         """The mission with everything resolved, as plain values, for the manifest beside the log."""
@@ -149,9 +192,31 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     _check_vehicles(spec, formation, source)
     _check_room(spec, formation, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
+    addresses = tuple(parse_address(link) for link in links)
+    rates = _fit_links(spec, addresses, source)
     profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
+    gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
+    positioning = spec.positioning or ("gps" if gps else "mocap")
+    position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
+    check_radius(
+        source,
+        formation,
+        pads,
+        radius_m=spec.avoidance.radius_m,
+        position_error_m=position_error_m,
+        positioning=positioning,
+    )
+    # Positions are brought to the tick with their velocity; what was not yet said of it counts as delay, and so does
+    # the time until the next setpoint.
+    waits_s = max(1.0 / rate.setpoint_hz + 0.5 / rate.pose_hz for rate in rates) - 1.0 / spec.rate_hz - 0.5 / _POSE_HZ
+    profile = replace(
+        profile,
+        delay_s=profile.delay_s + spec.link_delay_s + max(waits_s, 0.0),
+        position_error_m=position_error_m,
+    )
+    lead_s = profile.lag_s if spec.lead == "auto" else spec.lead
     lambda_max = float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
-    automatic = auto_control_gain(lambda_max, profile.lag_s, profile.delay_s)
+    automatic = auto_control_gain(lambda_max, profile.lag_s, profile.delay_s, lead_s)
     floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
     return MissionPlan(
         spec=spec,
@@ -163,12 +228,46 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         control_gain=automatic if spec.gain == "auto" else spec.gain,
         scale=ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain),
         links=links,
+        addresses=addresses,
         link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
+        rates=rates,
+        positioning=positioning,
+        margin_m=margin_m(position_error_m),
+        lead_s=lead_s,
         autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),
         pads_enu_m=pads,
         min_altitude_m=floor,
         acceleration_limit_m_s2=spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2,
     )
+
+
+def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> tuple[LinkRates, ...]:
+    """Fits message rates to the links."""
+    for link in spec.link_bytes_per_s:
+        if link not in {address.url for address in addresses}:
+            raise UserError(
+                f"{source}: link_bytes_per_s: {link}: no vehicle uses this link; correct it or leave it out"
+            )
+    fitted = []
+    for address in addresses:
+        users = [vehicle for vehicle in spec.vehicles if vehicle.link == address.url]
+        limit = spec.link_bytes_per_s.get(address.url, address.bytes_per_s)
+        position = max((_POSITION_MESSAGES[vehicle.position] for vehicle in users), key=frame_bytes)
+        wanted_hz = min(spec.rate_hz, _POSE_HZ)
+        try:
+            fitted.append(
+                fit_rates(
+                    address.url,
+                    len(users),
+                    limit,
+                    pose_hz=wanted_hz,
+                    setpoint_hz=spec.rate_hz,
+                    position=position,
+                )
+            )
+        except UserError as error:
+            raise UserError(f"{source}: {error}") from None
+    return tuple(fitted)
 
 
 def _override(values: dict[str, Any], override: str) -> None:

@@ -21,19 +21,24 @@ from groundstation.core.metrics import formation_error_m, min_distance_m, vertic
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
+from groundstation.mission.arming import Arming
+from groundstation.mission.climb import Climb
 from groundstation.mission.guidance import Guide, Poses
-from groundstation.mission.monitor import Monitor, ground_problems
+from groundstation.mission.landing import Landing
+from groundstation.mission.monitor import Monitor
 from groundstation.mission.plan import MissionPlan
+from groundstation.mission.poses import TeamFrame
+from groundstation.mission.preflight import Preflight
 from groundstation.mission.schema import FormStep, HoldStep
 
 _SECOND_NS = 1_000_000_000
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
-_ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
 _STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
-_LANDED_STILL_ARMED_NS = 5 * _SECOND_NS
+_LAND_SPARE_S = 60.0  # beyond the mission's own limit, before a vehicle that stays armed is left to its pilot
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
+_OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
 
 
 class Phase(Enum):
@@ -98,6 +103,7 @@ class Runner:
         plan: what to fly.
         start_ns: time at which it begins, on the clock of all other times.
         check_only: stop after the preflight checks, arm nothing.
+        whole_frames: ``receive`` is given whole frames on every link, as from a log, whatever the links were.
 
     Attributes:
         phase: what the team is doing.
@@ -108,7 +114,9 @@ class Runner:
         role_of_agent: role per vehicle, shape (n,).
     """
 
-    def __init__(self, plan: MissionPlan, start_ns: int, *, check_only: bool = False) -> None:
+    def __init__(
+        self, plan: MissionPlan, start_ns: int, *, check_only: bool = False, whole_frames: bool = False
+    ) -> None:
         n = plan.size
         self.plan = plan
         self.phase = Phase.CONNECT
@@ -118,7 +126,17 @@ class Runner:
         self.fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
         self.role_of_agent: IntArray = np.arange(n)
         self.problems: list[str] = []
-        self._station = Station(self.fleet, start_ns)
+        self._station = Station(
+            self.fleet,
+            start_ns,
+            streams=() if whole_frames else plan.stream_links,
+            greeted=[(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer],
+        )
+        self._frame = TeamFrame(plan)
+        self._preflight = Preflight(plan, self._station, self._frame)
+        self._arming = Arming(plan, self.fleet, self._station.commands)
+        self._climb = Climb(plan)
+        self._landing = Landing(plan, self.fleet, self._station.commands)
         self._guide = Guide(plan)
         self._monitor = Monitor(plan)
         self._check_only = check_only
@@ -131,22 +149,22 @@ class Runner:
         self._step_index = -1
         self._task: Task | None = None
         self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
-        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self._rates_asked = np.zeros(n, dtype=np.bool_)
-        self._land_asked: BoolArray = np.zeros(n, dtype=np.bool_)
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._refusals: dict[int, str] = {}
         self._abort_requested = False
-        pads_ned = frames.ned_from_enu(plan.pads_enu_m)
-        self._origin_ned_m = np.where(
-            np.array([vehicle.origin == "pad" for vehicle in plan.spec.vehicles])[:, None], pads_ned, 0.0
+        self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
+        self._gather_ned_m: FloatArray = self._pads_ned_m.copy()
+        self._spread_m = _OF_MARGIN * plan.margin_m
+        # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
+        self._setpoint_every: IntArray = np.array(
+            [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(n)]
         )
-        self._pads_ned_m: FloatArray = pads_ned
-        self._gather_ned_m: FloatArray = pads_ned.copy()
+        for link, rates in enumerate(plan.rates):
+            if rates.narrow:
+                self._note("info", rates.words(plan.links[link], plan.link_of_vehicle.count(link)))
 
     # What comes in
 
@@ -214,7 +232,7 @@ class Runner:
         self._listen()
         n = self.plan.size
         velocity: FloatArray = np.zeros((n, 3))
-        poses = self._poses(now_ns)
+        poses = self._frame.poses(self.fleet, now_ns)
         if self._abort_requested:
             self._abort_requested = False
             self._give_up("stopped by the operator", now_ns)
@@ -240,83 +258,60 @@ class Runner:
         elif self.phase is Phase.LAND:
             velocity = self._land(now_ns, poses)
         elif self.phase is Phase.SILENT:
-            self._silent()
+            self._silent(now_ns)
         streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
-        velocity = np.where((self._monitor.hold | self._land_asked | self._released)[:, None], 0.0, velocity)
+        streaming &= ~self._climb.under_way
+        streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
+        velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     # Phases
 
     def _connect(self, now_ns: int) -> None:
-        fleet, plan = self.fleet, self.plan
-        for vehicle in np.flatnonzero((fleet.heartbeat_ns != NEVER) & ~self._rates_asked):
-            autopilot = plan.autopilots[vehicle]
-            for message, rate_hz in (
-                ("LOCAL_POSITION_NED", plan.spec.rate_hz),
-                ("ATTITUDE_QUATERNION", plan.spec.rate_hz),
-                ("EXTENDED_SYS_STATE", 5.0),
-                ("SYS_STATUS", 2.0),
-            ):
-                self._station.commands.request(int(vehicle), autopilot.message_interval(message, rate_hz))
-            self._rates_asked[vehicle] = True
-        waiting = [int(vehicle) for vehicle in range(plan.size) if self._station.commands.pending(int(vehicle))]
-        self.problems, fatal = ground_problems(plan, fleet, now_ns, waiting, self._refusals)
-        if fatal:
-            self._refuse(fatal, now_ns)
-        elif self.problems:
+        plan = self.plan
+        state = self._preflight.step(now_ns, self._refusals)
+        for note in state.notes:
+            self._note("info", note)
+        self.problems = state.fatal + state.waiting
+        if state.fatal:
+            self._refuse(state.fatal, now_ns)
+        elif state.waiting:
             self._steady_since_ns = NEVER
             if now_ns - self._start_ns >= plan.spec.limits.preflight_s * _SECOND_NS:
-                self._refuse(self.problems, now_ns)
+                self._refuse(state.waiting, now_ns)
         elif self._steady(now_ns):
             if self._check_only:
                 self.outcome = "completed"
                 self._enter(Phase.DONE, now_ns)
             else:
-                self._yaw_ned_rad = frames.yaw_ned_from_quat(fleet.quat_ned_from_frd)
+                self._frame.settle(self.fleet, now_ns)
+                self._monitor.begin(self.fleet)
+                self._yaw_ned_rad = frames.yaw_ned_from_quat(self.fleet.quat_ned_from_frd)
                 self._refusals.clear()
+                self._arming = Arming(plan, self.fleet, self._station.commands)
                 self._enter(Phase.ARM, now_ns)
 
     def _arm(self, now_ns: int, poses: Poses) -> None:
-        fleet = self.fleet
         if now_ns - self._phase_ns < _STREAM_FIRST_NS:
             return
-        in_mode = np.array(
-            [a.is_streaming_mode(int(mode)) for a, mode in zip(self.plan.autopilots, fleet.custom_mode, strict=True)]
-        )
-        ready = in_mode & fleet.armed
-        if ready.all():
+        limit_s = self.plan.spec.limits.arming_s
+        restarted = self._arming.started_anew()
+        if restarted is not None:
+            self._give_up(restarted, now_ns)
+        elif self._arming.step(now_ns):
             self._assign(poses)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
-            return
-        if now_ns - self._phase_ns >= self.plan.spec.limits.arming_s * _SECOND_NS:
-            reasons = []
-            for vehicle in np.flatnonzero(~ready):
-                mode = self.plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
-                said = self._refusals.get(int(vehicle), "the autopilot gave no reason")
-                reasons.append(
-                    f"vehicle {fleet.sysid[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
-                    f" after {self.plan.spec.limits.arming_s:g} s: {said}"
-                )
-            self._give_up("; ".join(reasons), now_ns)
-            return
-        # All switch to the mode first: PX4 disarms what stands armed for ten seconds, so nobody arms early.
-        everyone_in_mode = bool(in_mode.all())
-        for vehicle in np.flatnonzero(~ready & (now_ns - self._asked_ns >= _ASK_AGAIN_NS)):
-            if self._station.commands.pending(int(vehicle)):
-                continue
-            autopilot = self.plan.autopilots[vehicle]
-            if not in_mode[vehicle]:
-                self._station.commands.request(int(vehicle), autopilot.streaming_mode())
-            elif everyone_in_mode:
-                self._station.commands.request(int(vehicle), autopilot.arm())
-            else:
-                continue
-            self._asked_ns[vehicle] = now_ns
+        elif now_ns - self._phase_ns >= limit_s * _SECOND_NS:
+            self._give_up(self._arming.why_not(limit_s, self._refusals), now_ns)
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
-        if bool((offset < _TAKEOFF_TOLERANCE_M).all()):
+        height_m = (self._pads_ned_m - poses.pos_team_ned_m)[:, 2]
+        target_m = (self._pads_ned_m - self._gather_ned_m)[:, 2]
+        self._climb.step(now_ns, self.fleet, self._station.commands, height_m, target_m)
+        near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
+        if bool((near & ~self._climb.under_way).all()):
             if self._steady(now_ns):
                 self._next_step(now_ns, poses)
         else:
@@ -324,7 +319,8 @@ class Runner:
             if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
                 late = ", ".join(
                     f"vehicle {self.fleet.sysid[i]} is {offset[i]:.2f} m from its place"
-                    for i in np.argsort(-offset)[:3]
+                    + (f": {self._refusals[i]}" if i in self._refusals else "")
+                    for i in np.argsort(-offset)[:3].tolist()
                 )
                 self._give_up(f"takeoff not finished after {self.plan.spec.takeoff.timeout_s:g} s: {late}", now_ns)
         return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
@@ -365,7 +361,8 @@ class Runner:
 
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
-        there = (offset < _PAD_TOLERANCE_M) | ~self.fleet.armed | self._released | self._land_asked
+        there = offset < max(_PAD_TOLERANCE_M, self._spread_m)
+        there |= ~self.fleet.armed | self._released | self._landing.asked
         late = now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS
         if bool(there.all()):
             if self._steady(now_ns):
@@ -380,32 +377,19 @@ class Runner:
         return guidance.vel_ned_m_s
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
-        fleet = self.fleet
-        on_ground = fleet.landed_state == LANDED_ON_GROUND
-        self._on_ground_since_ns = np.where(
-            on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
-        )
-        if not fleet.armed[~self._released].any():
+        limit_s = self.plan.spec.land.timeout_s + _LAND_SPARE_S
+        if self._landing.step(now_ns, poses, self._released):
             self._finish(now_ns)
             return np.zeros((self.plan.size, 3))
-        for vehicle in np.flatnonzero(fleet.armed & ~self._released):
-            if self._station.commands.pending(int(vehicle)) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
-                continue
-            autopilot = self.plan.autopilots[vehicle]
-            if on_ground[vehicle]:
-                if self._land_asked[vehicle] and now_ns - self._on_ground_since_ns[vehicle] >= _LANDED_STILL_ARMED_NS:
-                    self._station.commands.request(int(vehicle), autopilot.disarm())
-                    self._asked_ns[vehicle] = now_ns
-            elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])) and self._clear_below(
-                int(vehicle), poses
-            ):
-                self._ask_to_land(int(vehicle), now_ns)
-        guidance = self._guide.to_targets(poses, self._gather_ned_m)
-        return guidance.vel_ned_m_s
+        if now_ns - self._phase_ns >= limit_s * _SECOND_NS:
+            self._abort(self._landing.still_armed(limit_s, self._released))
+            self._finish(now_ns)
+        return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
 
-    def _silent(self) -> None:
-        if not self.fleet.armed.any():
-            self._finish(self._last_step_ns)
+    def _silent(self, now_ns: int) -> None:
+        limit_s = self.plan.spec.land.timeout_s + _LAND_SPARE_S
+        if not self.fleet.armed.any() or now_ns - self._phase_ns >= limit_s * _SECOND_NS:
+            self._finish(now_ns)
 
     # What the phases share
 
@@ -449,31 +433,19 @@ class Runner:
         heights: FloatArray = self.plan.formation.points_enu_m[self.role_of_agent, 2]
         return heights
 
-    def _ask_to_land(self, vehicle: int, now_ns: int) -> None:
-        self._station.commands.request(vehicle, self.plan.autopilots[vehicle].land())
-        self._land_asked[vehicle] = True
-        self._asked_ns[vehicle] = now_ns
-
-    def _clear_below(self, vehicle: int, poses: Poses) -> bool:
-        """Whether nobody else stands or hovers where this vehicle would come down."""
-        away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        beside = np.hypot(away[:, 0], away[:, 1]) >= self.plan.spec.avoidance.radius_m
-        above = away[:, 2] < -self.plan.spec.avoidance.radius_m
-        beside[vehicle] = True
-        return bool((beside | above).all())
-
     def _watch(self, now_ns: int) -> None:
         """Acts on what the monitors find in the air."""
-        findings = self._monitor.look(self.fleet, now_ns, self._land_asked)
+        pose_ns, drift_m = self._frame.pose_ns(self.fleet), self._frame.drift_m(self.fleet, now_ns)
+        findings = self._monitor.look(self.fleet, now_ns, self._landing.asked, pose_ns, drift_m)
         for text in findings.alarms:
             self._note("alarm", text)
         for vehicle in findings.release:
             self._released[vehicle] = True
             self._station.commands.clear(vehicle)
         for vehicle in findings.land:
-            if not self._land_asked[vehicle] and not self._released[vehicle]:
+            if not self._landing.asked[vehicle] and not self._released[vehicle]:
                 self._station.commands.clear(vehicle)
-                self._ask_to_land(vehicle, now_ns)
+                self._landing.ask(vehicle, now_ns)
         if findings.abort and self.outcome is None:
             self._give_up(findings.abort, now_ns)
 
@@ -491,6 +463,7 @@ class Runner:
                     self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
             self._enter(Phase.LAND, now_ns)
         else:
+            self._climb.under_way[:] = False
             self._enter(Phase.STOP, now_ns)
 
     def _abort(self, reason: str) -> None:
@@ -528,6 +501,7 @@ class Runner:
     def _listen(self) -> None:
         """Takes the vehicles' words and answers."""
         for outcome in self._station.commands.take_outcomes():
+            self._arming.heard(outcome)
             if not outcome.accepted:
                 self._refusals[outcome.vehicle] = outcome.words()
                 self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
@@ -537,13 +511,6 @@ class Runner:
             if text.severity <= 4:
                 said = self._refusals.get(text.vehicle)
                 self._refusals[text.vehicle] = f"{said}, it says: {text.text}" if said else f"it says: {text.text}"
-
-    def _poses(self, now_ns: int) -> Poses:
-        """Brings every pose to this tick's instant with the velocity that came with it."""
-        fleet = self.fleet
-        age_s = np.clip((now_ns - fleet.pose_ns) / _SECOND_NS, 0.0, self.plan.spec.limits.pose_age_s)
-        position = self._origin_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s[:, None]
-        return Poses(position, fleet.vel_ned_m_s, fleet.quat_ned_from_frd)
 
     def _measure(self, poses: Poses) -> None:
         distance = min_distance_m(poses.pos_team_ned_m, self.airborne)

@@ -84,26 +84,43 @@ class FenceSpec(_Strict):
 
 
 class LimitsSpec(_Strict):
-    """Ages and times after which the ground station reacts."""
+    """Ages and times after which the ground station reacts; errors by the position source where not given."""
 
     pose_age_s: Positive = 0.5
     pose_lost_s: Positive = 1.0
     heartbeat_age_s: Positive = 4.0
-    preflight_s: Positive = 60.0
-    arming_s: Positive = 20.0
-    pad_error_m: Positive = 0.3
+    preflight_s: Positive = 120.0
+    arming_s: Positive = 60.0
+    pad_error_m: Positive | None = None
+    frame_drift_m: Positive | None = None
     battery_min: Annotated[float, Field(ge=0, lt=1)] = 0.2
 
 
+class AnchorSpec(_Strict):
+    """Where on earth the team frame has its origin: degrees, and metres above sea level."""
+
+    lat_deg: Annotated[float, Field(ge=-89, le=89)]
+    lon_deg: Annotated[float, Field(ge=-180, le=180)]
+    alt_m: Annotated[float, Field(ge=-500, le=9000)]
+
+
 class VehicleSpec(_Strict):
-    """One vehicle and its pad."""
+    """One vehicle, its pad, and where its position counts from."""
 
     id: Annotated[int, Field(ge=1, le=250)]
     link: str
     autopilot: str = "px4"
     profile: str = "crazyflie"
     pad_m: Point
-    origin: Literal["pad", "team"] = "pad"
+    origin: Literal["pad", "team", "gps", "declared"] = "pad"
+    origin_m: Point | None = None
+    position: Literal["local", "global"] = "local"
+
+    @model_validator(mode="after")
+    def _declared(self) -> VehicleSpec:
+        if (self.origin == "declared") != (self.origin_m is not None):
+            raise ValueError("origin: declared and origin_m, the place of the local frame's origin, go together")
+        return self
 
 
 class MissionSpec(_Strict):
@@ -125,4 +142,12 @@ class MissionSpec(_Strict):
     land: LandSpec = LandSpec()
     fence: FenceSpec
     limits: LimitsSpec = LimitsSpec()
+    positioning: Literal["mocap", "rtk", "gps"] | None = None
+    position_error_m: Positive | None = None
+    anchor: AnchorSpec | None = None
+    set_gps_origin: bool = False
+    lead: Literal["auto"] | NotNegative = 0.0
+    upright_1_s: NotNegative = 0.0
+    link_delay_s: NotNegative = 0.0
+    link_bytes_per_s: dict[str, Positive] = {}
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]

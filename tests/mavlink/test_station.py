@@ -49,8 +49,9 @@ def test_setpoints_are_velocity_and_yaw_in_local_ned_for_the_right_vehicle() -> 
 def test_heartbeat_once_a_second_and_only_to_who_was_heard() -> None:
     station = _station()
     station.fleet.peer[1] = None
-    times = [ms for ms in range(0, 3000, 20) if _transmit(station, ms * 1_000_000)]
-    assert times == [0, 1000, 2000]
+    sent = {ms: _transmit(station, ms * 1_000_000) for ms in range(0, 3000, 20)}
+    beats = [ms for ms, out in sent.items() for m in _messages(out, "p1") if m.get_type() == "HEARTBEAT"]
+    assert beats == [0, 1000, 2000]
     assert {datagram.peer for datagram in _transmit(station, 3 * SECOND_NS)} == {"p1"}
 
 
@@ -84,3 +85,41 @@ def test_a_flood_of_addresses_is_counted_and_takes_no_memory() -> None:
     for number in range(1500):
         station.receive(0, f"stranger{number}", b"x", 0)
     assert station.fleet.counts["datagram from one address too many"] == 502
+
+
+def test_who_waits_to_be_spoken_to_is_greeted_until_somebody_is_heard_there() -> None:
+    station = Station(Fleet([1, 2], [0, 1]), 0, greeted=[(1, "tcp")])
+    (hello,) = _transmit(station, 0)
+    assert (hello.link, hello.peer) == (1, "tcp")
+    assert [message.get_type() for message in _messages([hello], "tcp")] == ["HEARTBEAT"]
+    station.receive(1, "tcp", Encoder(2).encode("HEARTBEAT", type=2, autopilot=12), SECOND_NS)
+    station.ingest()
+    later = [datagram for ms in range(1000, 4000, 20) for datagram in _transmit(station, ms * 1_000_000)]
+    beats = [message for message in _messages(later, "tcp") if message.get_type() == "HEARTBEAT"]
+    assert len(beats) == 3
+
+
+def test_clocks_are_asked_once_for_all_behind_an_address_and_answers_are_believed() -> None:
+    station = Station(Fleet([1, 2], [0, 0]), 0)
+    for sysid in (1, 2):
+        station.receive(0, "radio", Encoder(sysid).encode("HEARTBEAT", type=2, autopilot=12), 0)
+    station.ingest()
+    now_ns = 10 * SECOND_NS
+    (question,) = [m for m in _messages(_transmit(station, now_ns), "radio") if m.get_type() == "TIMESYNC"]
+    assert (question.tc1, question.ts1) == (0, now_ns)
+    for sysid in (1, 2):
+        answer = Encoder(sysid).encode("TIMESYNC", tc1=sysid * SECOND_NS, ts1=question.ts1)
+        station.receive(0, "radio", answer, now_ns + 40_000_000)
+    station.ingest()
+    np.testing.assert_allclose(station.fleet.clocks.round_trip_s, 0.04)
+    assert station.fleet.clocks.offset_ns.tolist() == [s * SECOND_NS - now_ns - 20_000_000 for s in (1, 2)]
+
+
+def test_a_frame_in_two_pieces_is_read_on_a_stream_and_not_on_datagrams() -> None:
+    for streams, heard in (([0], True), ([], False)):
+        station = Station(Fleet([1], [0]), 0, streams=streams)
+        raw = Encoder(1).encode("HEARTBEAT", type=2, autopilot=12)
+        station.receive(0, "p", raw[:7], 0)
+        station.receive(0, "p", raw[7:], 1)
+        station.ingest()
+        assert (station.fleet.peer[0] == "p") == heard

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +19,7 @@ from groundstation.app.progress import FlightDisplay
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
+from groundstation.links.link import Link
 from groundstation.links.opening import open_link
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Runner
@@ -91,7 +92,10 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
         display = stack.enter_context(FlightDisplay(out.console, plan))
         stack.enter_context(interrupts.listening())
         fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=(display,), interrupts=interrupts)
+        troubles = _troubles(links)
     runner = session.runner
+    for number, rates in enumerate(plan.rates):
+        out.console.print(rates.words(plan.links[number], plan.link_of_vehicle.count(number)))
     table = Table("vehicle", "state")
     problems = {text.partition(":")[0]: text.partition(": ")[2] for text in runner.problems}
     for vehicle in plan.spec.vehicles:
@@ -99,11 +103,17 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     out.console.print(table)
     out.result({"mission": plan.spec.name, "ready": runner.outcome == "completed", "problems": runner.problems})
     if runner.outcome != "completed":
-        raise PreflightRefused(_refusal(runner.reason or "interrupted"))
+        raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles])))
 
 
 def _refusal(reason: str) -> str:
-    return "preflight refused, nothing was armed:\n  " + reason.replace("; vehicle", "\n  vehicle")
+    lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ")
+    return "preflight refused, nothing was armed:\n  " + lines
+
+
+def _troubles(links: Sequence[Link]) -> list[str]:
+    """What is wrong with the links themselves, a line for each."""
+    return [f"link {link.url}: {link.state}" for link in links if link.state]
 
 
 def _period_ns(plan: MissionPlan) -> int:
@@ -136,7 +146,7 @@ def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realt
     world = World(world_config(plan), seed)
     meter = TruthMeter(world)
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
-    with _recording(log_path, manifest) as log:
+    with _recording(log_path, manifest, plan) as log:
         session = Session(Runner(plan, 0), log)
         interrupts = Interrupts()
         with FlightDisplay(out.console, plan) as display, interrupts.listening():
@@ -162,13 +172,14 @@ def _real_flight(out: Output, plan: MissionPlan, log_path: Path, *, emulated_see
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed)))
         clock = FlightClock()
         manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
-        log = stack.enter_context(_recording(log_path, manifest))
+        log = stack.enter_context(_recording(log_path, manifest, plan))
         session = Session(Runner(plan, 0), log)
         interrupts = Interrupts()
         with FlightDisplay(out.console, plan) as display, interrupts.listening():
             watchers = (display,) if meter is None else (display, meter)
             fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
         values = _values(session.runner, log_path, emulated_seed)
+        values["reason"] = "; ".join([str(values["reason"]), *_troubles(links)]) if values["reason"] else ""
         if meter is not None:
             values |= meter.figures()
     write_manifest(manifest_path(log_path), manifest.finished(values))
@@ -187,10 +198,10 @@ def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_ru
 
 
 @contextmanager
-def _recording(log_path: Path, manifest: Manifest) -> Iterator[TlogWriter]:
+def _recording(log_path: Path, manifest: Manifest, plan: MissionPlan) -> Iterator[TlogWriter]:
     """Opens the log with its manifest, so that a flight that ends badly leaves both."""
     write_manifest(manifest_path(log_path), manifest)
-    with TlogWriter(log_path, manifest.epoch_unix_us) as log:
+    with TlogWriter(log_path, manifest.epoch_unix_us, stream_links=plan.stream_links) as log:
         yield log
 
 

@@ -1,0 +1,101 @@
+"""From standing still to armed in the mode that follows us, all together or not at all.
+
+Autopilots disarm by themselves ten seconds after arming without a takeoff, so nobody is armed for long before the last
+one is: whoever has refused is asked alone first, and who waits armed for it is disarmed again. What counts is the
+heartbeat; an acknowledgement is only words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from groundstation.core.types import BoolArray
+from groundstation.mavlink.commands import CommandQueue, Outcome
+from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mission.plan import MissionPlan
+
+_SECOND_NS = 1_000_000_000
+_ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
+_WAITS_ARMED_NS = 4 * _SECOND_NS
+
+
+class Arming:
+    """One attempt to arm the team.
+
+    Args:
+        plan: autopilots.
+        fleet: their state.
+        commands: what is asked goes out by it.
+    """
+
+    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
+        n = plan.size
+        self._plan, self._fleet, self._commands = plan, fleet, commands
+        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._armed_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._reluctant: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._said_yes: dict[int, str] = {}
+        self._restarts = fleet.restarts.copy()
+
+    def heard(self, outcome: Outcome) -> None:
+        """Takes how a command ended."""
+        if outcome.accepted:
+            self._said_yes[outcome.vehicle] = outcome.command.name
+        elif outcome.command == self._plan.autopilots[outcome.vehicle].arm():
+            self._reluctant[outcome.vehicle] = True
+
+    def in_mode(self) -> BoolArray:
+        """Vehicles whose heartbeat shows the mode that follows us, shape (n,)."""
+        modes = self._fleet.custom_mode.tolist()
+        return np.array([a.is_streaming_mode(mode) for a, mode in zip(self._plan.autopilots, modes, strict=True)])
+
+    def step(self, now_ns: int) -> bool:
+        """Asks for what is missing; returns whether everybody is armed and in the mode."""
+        fleet = self._fleet
+        in_mode = self.in_mode()
+        ready = in_mode & fleet.armed
+        if ready.all():
+            return True
+        self._armed_since_ns = np.where(
+            fleet.armed, np.where(self._armed_since_ns == NEVER, now_ns, self._armed_since_ns), NEVER
+        )
+        self._reluctant &= ~ready
+        may_arm = bool(in_mode.all())
+        for vehicle in np.flatnonzero(now_ns - self._asked_ns >= _ASK_AGAIN_NS).tolist():
+            if self._commands.pending(vehicle):
+                continue
+            autopilot = self._plan.autopilots[vehicle]
+            if ready[vehicle]:
+                waits = self._reluctant.any() and now_ns - self._armed_since_ns[vehicle] >= _WAITS_ARMED_NS
+                if not waits:
+                    continue
+                self._commands.request(vehicle, autopilot.disarm())
+            elif not in_mode[vehicle]:
+                self._commands.request(vehicle, autopilot.streaming_mode())
+            elif may_arm and (self._reluctant[vehicle] or not self._reluctant.any()):
+                self._commands.request(vehicle, autopilot.arm())
+            else:
+                continue
+            self._asked_ns[vehicle] = now_ns
+        return False
+
+    def started_anew(self) -> str | None:
+        """Words for a vehicle that has started anew since the attempt began."""
+        for vehicle in np.flatnonzero(self._fleet.restarts != self._restarts):
+            return f"vehicle {self._fleet.sysid[vehicle]}: has started anew while the team was arming"
+        return None
+
+    def why_not(self, waited_s: float, said: Mapping[int, str]) -> str:
+        """Words for an attempt that took too long: who, in what state, and what it said."""
+        fleet, reasons = self._fleet, []
+        for vehicle in np.flatnonzero(~(self.in_mode() & fleet.armed) & (self._reluctant | ~self._reluctant.any())):
+            mode = self._plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
+            yes = self._said_yes.get(int(vehicle))
+            silence = f"it acknowledged {yes} and did not do it" if yes else "the autopilot gave no reason"
+            reasons.append(
+                f"vehicle {fleet.sysid[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
+                f" after {waited_s:g} s: {said.get(int(vehicle), silence)}"
+            )
+        return "; ".join(reasons)

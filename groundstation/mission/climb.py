@@ -1,0 +1,64 @@
+"""Takeoffs by command, for autopilots that do not lift off by velocity.
+
+Such a vehicle gets no setpoints until its climb is over: they would end it. From then on it gets them without a break,
+like all others. Who climbs by velocity does not come here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.commands import CommandQueue
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, NEVER, Fleet
+from groundstation.mission.plan import MissionPlan
+
+_ASK_AGAIN_NS = 2_000_000_000
+_THERE = 0.85  # of the height: from here on setpoints do the rest
+_STAYS_NS = 2_000_000_000  # at that height, whatever the landed state says
+
+
+class Climb:
+    """Climbs of those that need a command.
+
+    Args:
+        plan: autopilots.
+
+    Attributes:
+        under_way: has to climb by command and has not arrived, shape (n,).
+    """
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self._plan = plan
+        self.under_way: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
+        self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
+
+    def step(
+        self, now_ns: int, fleet: Fleet, commands: CommandQueue, height_m: FloatArray, target_m: FloatArray
+    ) -> None:
+        """Asks those that still stand, and lets go of those that have arrived.
+
+        Args:
+            now_ns: time of this tick.
+            fleet: their state.
+            commands: what is asked goes out by it.
+            height_m: above the pads, shape (n,).
+            target_m: of the climbs, shape (n,).
+        """
+        for vehicle in np.flatnonzero(self.under_way).tolist():
+            if height_m[vehicle] >= _THERE * target_m[vehicle]:
+                if self._high_since_ns[vehicle] == NEVER:
+                    self._high_since_ns[vehicle] = now_ns
+                climbing = fleet.landed_state[vehicle] in (LANDED_TAKEOFF, LANDED_ON_GROUND)
+                if not climbing or now_ns - self._high_since_ns[vehicle] >= _STAYS_NS:
+                    self.under_way[vehicle] = False
+            elif (
+                fleet.landed_state[vehicle] == LANDED_ON_GROUND
+                and not commands.pending(vehicle)
+                and now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS
+            ):
+                command = self._plan.autopilots[vehicle].takeoff(float(target_m[vehicle]))
+                if command is not None:
+                    commands.request(vehicle, command)
+                    self._asked_ns[vehicle] = now_ns

@@ -1,0 +1,162 @@
+"""One frame for all: every vehicle's position in the team frame, at the instant of the tick.
+
+A vehicle reports its position from an origin of its own. Where that origin lies is declared (its pad, a point, the
+team's origin) or known on earth (GPS_GLOBAL_ORIGIN, or global positions outright). On earth the team frame hangs on the
+mission's anchor, or on the pad of the first vehicle that uses GPS. Heights always count from
+the pads: GPS is worst there.
+
+Everything is settled on the ground and then held. Refuses to follow an origin that moves in flight; monitors tell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pymap3d
+
+from groundstation.core import frames
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.vehicle import Fleet
+from groundstation.mission.guidance import Poses
+from groundstation.mission.plan import MissionPlan
+
+_SECOND_NS = 1_000_000_000
+_SAME_ORIGIN_M = 0.05
+_LOOK_NS = 200_000_000
+
+
+class TeamFrame:
+    """Where the vehicles' own frames lie in the team's.
+
+    Args:
+        plan: pads, origins, anchor.
+
+    Attributes:
+        origin_team_ned_m: of each vehicle's local frame, shape (n, 3); NaN while not known, and where it needs none.
+        anchor_deg_m: place of the team frame's origin on earth: latitude, longitude, height; None while not known.
+        settled: held from now on.
+    """
+
+    def __init__(self, plan: MissionPlan) -> None:
+        spec = plan.spec
+        self._plan = plan
+        self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
+        n = plan.size
+        self._global: BoolArray = np.array([vehicle.position == "global" for vehicle in spec.vehicles])
+        self._gps: BoolArray = np.array([plan.uses_gps(i) for i in range(n)])
+        self._by_origin: BoolArray = self._gps & ~self._global
+        self.origin_team_ned_m: FloatArray = np.full((n, 3), np.nan)
+        for i, vehicle in enumerate(spec.vehicles):
+            if vehicle.origin == "pad":
+                self.origin_team_ned_m[i] = self._pads_ned_m[i]
+            elif vehicle.origin == "team":
+                self.origin_team_ned_m[i] = 0.0
+            elif vehicle.origin_m is not None:
+                self.origin_team_ned_m[i] = frames.ned_from_enu(np.array(vehicle.origin_m))
+        self.origin_team_ned_m[self._by_origin] = np.nan
+        anchor = spec.anchor
+        self.anchor_deg_m: FloatArray | None = (
+            None if anchor is None else np.array([anchor.lat_deg, anchor.lon_deg, anchor.alt_m])
+        )
+        self._anchor_is_given = anchor is not None or not self._gps.any()
+        self._shift_ned_m: FloatArray = np.zeros((n, 3))
+        self._seen_origin: FloatArray = np.full((n, 3), np.nan)
+        self._next_look_ns = 0
+        self.settled = False
+
+    def look(self, fleet: Fleet, now_ns: int) -> None:
+        """Follows what the vehicles say of their origins, as long as nothing is settled."""
+        if self.settled or not self._gps.any() or now_ns < self._next_look_ns:
+            return
+        self._next_look_ns = now_ns + _LOOK_NS
+        if not self._anchor_is_given:
+            self._hang_on_first(fleet)
+        if self.anchor_deg_m is not None:
+            rows = np.flatnonzero(self._by_origin)
+            self.origin_team_ned_m[rows] = self._from_anchor(fleet.origin_deg_m[rows])
+
+    def hold_anchor(self) -> None:
+        """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
+        self._anchor_is_given = True
+
+    def has_common_origin(self, fleet: Fleet, vehicle: int) -> bool:
+        """Whether a vehicle's own origin is the anchor."""
+        away = self.origin_team_ned_m[vehicle]
+        return bool(np.isfinite(away).all() and np.linalg.norm(away) <= _SAME_ORIGIN_M)
+
+    def known(self, vehicle: int) -> bool:
+        """Whether a vehicle's reports can be placed in the team frame."""
+        if self._global[vehicle]:
+            return self.anchor_deg_m is not None
+        return bool(np.isfinite(self.origin_team_ned_m[vehicle]).all())
+
+    def settle(self, fleet: Fleet, now_ns: int) -> None:
+        """Holds everything from now on, with the vehicles standing on their pads.
+
+        Heights that come from GPS are shifted so that every vehicle stands on its pad. Vehicles whose frames were
+        declared to begin at their pads, and that fly by GPS, are shifted to their pads altogether: their estimates
+        began somewhere near.
+        """
+        gap = self._pads_ned_m - self._reported(fleet, now_ns)
+        self._shift_ned_m[self._gps, 2] = gap[self._gps, 2]
+        if self._plan.positioning == "gps":
+            at_pad = np.array([vehicle.origin == "pad" for vehicle in self._plan.spec.vehicles]) & ~self._gps
+            self._shift_ned_m[at_pad] = gap[at_pad]
+        self.settled = True
+
+    def poses(self, fleet: Fleet, now_ns: int) -> Poses:
+        """Poses of the team at one instant, each brought there from its measurement by its velocity."""
+        velocity = np.where(self._global[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
+        return Poses(self._reported(fleet, now_ns) + self._shift_ned_m, velocity, fleet.quat_ned_from_frd)
+
+    def pose_ns(self, fleet: Fleet) -> FloatArray:
+        """When each pose was measured: the older of position and attitude, shape (n,), integers."""
+        return np.minimum(np.where(self._global, fleet.place_ns, fleet.pose_ns), fleet.attitude_ns)
+
+    def off_pad_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
+        """How far from their pads the vehicles report to stand, shape (n,).
+
+        A height from GPS counts a third: it is that much worse, and is not flown by.
+        """
+        gap = self._reported(fleet, now_ns) - self._pads_ned_m
+        gap[self._gps, 2] /= 3.0
+        return np.asarray(np.linalg.norm(gap, axis=1))
+
+    def drift_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
+        """How far the local and the global position of a vehicle disagree, shape (n,); NaN where one is missing."""
+        drift = np.full(len(fleet), np.nan)
+        fresh = self._by_origin & (now_ns - fleet.place_ns < 3 * _SECOND_NS)
+        if self.anchor_deg_m is None or not fresh.any():
+            return drift
+        rows = np.flatnonzero(fresh)
+        local = self._reported(fleet, now_ns)[rows]
+        age_s = (now_ns - fleet.place_ns[rows]) / _SECOND_NS
+        elsewhere = self._from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s[:, None]
+        drift[rows] = np.linalg.norm(local - elsewhere, axis=1)
+        return drift
+
+    def _reported(self, fleet: Fleet, now_ns: int) -> FloatArray:
+        """Positions as reported, brought to an instant, shape (n, 3)."""
+        limit_s = self._plan.spec.limits.pose_age_s
+        age_s = np.clip((now_ns - fleet.pose_ns) / _SECOND_NS, 0.0, limit_s)[:, None]
+        position = self.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s
+        if self._global.any():
+            rows = np.flatnonzero(self._global)
+            age_s = np.clip((now_ns - fleet.place_ns[rows]) / _SECOND_NS, 0.0, limit_s)[:, None]
+            position[rows] = self._from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
+        return np.asarray(position)
+
+    def _from_anchor(self, places_deg_m: FloatArray) -> FloatArray:
+        """Places on earth in the team frame, shape (k, 3); NaN stays NaN."""
+        if self.anchor_deg_m is None:
+            return np.full_like(places_deg_m, np.nan)
+        north, east, down = pymap3d.geodetic2ned(*places_deg_m.T, *self.anchor_deg_m)
+        return np.stack([north, east, down], axis=-1)
+
+    def _hang_on_first(self, fleet: Fleet) -> None:
+        """Places the anchor so that the first vehicle that uses GPS stands on its pad."""
+        first = int(np.flatnonzero(self._gps)[0])
+        place = fleet.place_deg_m[first]
+        if not self._global[first]:
+            place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *fleet.origin_deg_m[first]))
+        if np.isfinite(place).all():
+            self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)

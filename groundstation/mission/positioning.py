@@ -1,0 +1,61 @@
+"""How well the team knows where it is, and what that leaves of r.
+
+The avoidance keeps *reported* distances above r plus a margin. The margin is what two positions may be off against
+each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from groundstation.core.errors import UserError
+from groundstation.core.formation import Formation
+from groundstation.core.types import FloatArray
+
+POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
+"""Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against
+each other, which is three standard deviations of a difference."""
+_DEVIATIONS = 3.0
+
+
+def margin_m(position_error_m: float) -> float:
+    """What is added to r: three standard deviations of the distance of two positions that are off on their own."""
+    return _DEVIATIONS * math.sqrt(2.0) * position_error_m
+
+
+def check_radius(
+    source: str,
+    formation: Formation,
+    pads_enu_m: FloatArray,
+    *,
+    radius_m: float,
+    position_error_m: float,
+    positioning: str,
+) -> None:
+    """Refuses an r that the positions cannot keep.
+
+    Args:
+        source: the mission's name.
+        formation: with its shortest distance.
+        pads_enu_m: shape (n, 3).
+        radius_m: r.
+        position_error_m: standard deviation, one axis.
+        positioning: name of the source, for messages.
+
+    Raises:
+        UserError: with the r that could be kept.
+    """
+    margin = margin_m(position_error_m)
+    for what, points in (("formation " + formation.name, formation.points_enu_m), ("pads", pads_enu_m)):
+        first, second = np.triu_indices(len(points), 1)
+        shortest = float(np.linalg.norm(points[first] - points[second], axis=1).min())
+        if radius_m + margin >= shortest:
+            able = math.floor(100.0 * (shortest - margin) - 1e-9) / 100.0
+            could = f"an r of {able:g} m could be" if able > 0.0 else "no r could be"
+            raise UserError(
+                f"{source}: avoidance.radius_m: {radius_m:g} m cannot be kept with {positioning} positions: two of"
+                f" them may be {margin:.2f} m off against each other, and the shortest distance of the {what} is"
+                f" {shortest:.3g} m; {could} kept: lower r, or move further apart"
+            )

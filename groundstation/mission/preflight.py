@@ -1,0 +1,327 @@
+"""Everything before arming: rates asked for and counted, clocks, origins, and what is not well yet, in words.
+
+Sends through the station it is given; arms nothing. A vehicle that starts anew on the ground is asked for everything
+again. Nothing here waits: the runner calls it once per tick and decides how long is long enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from groundstation.core.types import FloatArray
+from groundstation.mavlink.station import Station
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
+from groundstation.mission.plan import MissionPlan
+from groundstation.mission.poses import TeamFrame
+
+_SECOND_NS = 1_000_000_000
+_ENOUGH = 0.6  # of the rate asked for: what a lossy link leaves
+_RATE_MIN_HZ = 5.0
+_TRIES = 3
+_ASK_AGAIN_NS = 5 * _SECOND_NS
+_ORIGIN_AGAIN_NS = 2 * _SECOND_NS
+_ORIGIN_TRIES = 5
+_SYNC_SAMPLES = 3
+_SYNC_PATIENCE_NS = 5 * _SECOND_NS
+_ROUND_TRIP_SPARE_S = 0.15
+_STATUS_HZ = {"EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 2.0}
+_STATUS_NARROW_HZ = {"EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 1.0}
+_CROSS_CHECK_HZ = 1.0
+
+
+@dataclass
+class _Rates:
+    """How one vehicle's streams are coming on."""
+
+    asked_ns: int = NEVER
+    restarts: int = -1
+    window_ns: int = NEVER
+    at_start: tuple[int, int] = (0, 0)
+    hz: tuple[float, float] = (np.nan, np.nan)
+    tries: int = 0
+    good: bool = False
+
+
+@dataclass
+class GroundState:
+    """What stands between the team and arming, a line for each vehicle.
+
+    Attributes:
+        waiting: may pass with time.
+        fatal: will not.
+        notes: worth knowing, said once.
+    """
+
+    waiting: list[str] = field(default_factory=list)
+    fatal: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+class Preflight:
+    """The way of n vehicles from the first heartbeat to being ready to arm.
+
+    Args:
+        plan: rates, pads, limits.
+        station: what is asked goes out by it.
+        frame: settled by the runner when all is well.
+    """
+
+    def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame) -> None:
+        self._plan, self._station, self._frame = plan, station, frame
+        self._rates = [_Rates() for _ in range(plan.size)]
+        self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._origin_set: FloatArray = np.zeros(plan.size)
+        self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._noted: set[str] = set()
+
+    def step(self, now_ns: int, said: Mapping[int, str]) -> GroundState:
+        """Asks for what is missing and looks at what is there.
+
+        Args:
+            now_ns: time of this tick.
+            said: what vehicles refused or warned of, by vehicle.
+        """
+        fleet, state = self._station.fleet, GroundState()
+        self._frame.look(fleet, now_ns)
+        off_m = self._frame.off_pad_m(fleet, now_ns)
+        drift_m = self._frame.drift_m(fleet, now_ns)
+        pose_ns = self._frame.pose_ns(fleet)
+        for vehicle, spec in enumerate(self._plan.spec.vehicles):
+            name = f"vehicle {spec.id}"
+            twin = fleet.twin(vehicle, now_ns)
+            if twin is not None:
+                state.fatal.append(f"{name}: {twin}; give each vehicle its own system id")
+                continue
+            if fleet.heartbeat_ns[vehicle] == NEVER:
+                state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
+                continue
+            autopilot = self._plan.autopilots[vehicle]
+            if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
+                state.fatal.append(
+                    f"{name}: its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}, {spec.autopilot} is"
+                    f" {autopilot.mav_autopilot}; correct vehicles[{vehicle}].autopilot"
+                )
+                continue
+            if fleet.armed[vehicle]:
+                state.fatal.append(f"{name}: is armed already; disarm it before the mission")
+                continue
+            self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
+            self._ask_for_origin(vehicle, now_ns)
+            problem = (
+                self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
+                or self._readiness(vehicle, said)
+                or self._clock(vehicle, now_ns, state)
+                or self._place(vehicle, now_ns, float(off_m[vehicle]), float(drift_m[vehicle]))
+            )
+            if problem is not None:
+                state.waiting.append(f"{name}: {problem}")
+            elif fleet.battery_remaining[vehicle] < self._plan.spec.limits.battery_min:
+                state.fatal.append(
+                    f"{name}: battery at {fleet.battery_remaining[vehicle]:.0%}, minimum is"
+                    f" {self._plan.spec.limits.battery_min:.0%}; charge it"
+                )
+            self._tell_slow(vehicle, state)
+        state.notes = [note for note in state.notes if note not in self._noted]
+        self._noted.update(state.notes)
+        return state
+
+    # Streams
+
+    def wanted_hz(self, vehicle: int) -> dict[str, float]:
+        """Streams that a vehicle is asked for."""
+        plan = self._plan
+        rates = plan.rates_of(vehicle)
+        wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.pose_hz}
+        wanted |= _STATUS_NARROW_HZ if rates.narrow else _STATUS_HZ
+        if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
+            wanted["GLOBAL_POSITION_INT"] = _CROSS_CHECK_HZ
+        return wanted
+
+    def _ask_for_streams(self, vehicle: int, now_ns: int, pose_ns: int) -> None:
+        fleet, rates = self._station.fleet, self._rates[vehicle]
+        new = rates.restarts != fleet.restarts[vehicle]
+        silent = now_ns - max(pose_ns, rates.asked_ns) > _ASK_AGAIN_NS
+        if new:
+            self._rates[vehicle] = rates = _Rates(restarts=int(fleet.restarts[vehicle]))
+        if new or silent:
+            self._request_streams(vehicle, now_ns)
+            return
+        if self._station.commands.pending(vehicle):
+            return
+        counted = self._counted(vehicle)
+        if rates.window_ns == NEVER:
+            rates.window_ns, rates.at_start = now_ns, counted
+            return
+        asked_hz = self._plan.rates_of(vehicle).pose_hz
+        passed_ns = now_ns - rates.window_ns
+        if passed_ns < max(1.0, 8.0 / asked_hz) * _SECOND_NS:
+            return
+        rates.hz = (
+            (counted[0] - rates.at_start[0]) * _SECOND_NS / passed_ns,
+            (counted[1] - rates.at_start[1]) * _SECOND_NS / passed_ns,
+        )
+        rates.good = min(rates.hz) >= _ENOUGH * asked_hz or (
+            rates.tries >= _TRIES and min(rates.hz) >= max(_RATE_MIN_HZ, 0.2 * asked_hz)
+        )
+        rates.window_ns, rates.at_start = now_ns, counted
+        if not rates.good and now_ns - rates.asked_ns >= _SECOND_NS:
+            rates.tries += 1
+            self._request_streams(vehicle, now_ns)
+
+    def _request_streams(self, vehicle: int, now_ns: int) -> None:
+        rates, autopilot = self._rates[vehicle], self._plan.autopilots[vehicle]
+        rates.asked_ns, rates.window_ns = now_ns, NEVER
+        wanted = self.wanted_hz(vehicle)
+        if self._plan.rates_of(vehicle).narrow:
+            for message in autopilot.chatter:
+                if message not in wanted:
+                    self._station.commands.request(vehicle, autopilot.silence(message))
+        for message, rate_hz in wanted.items():
+            self._station.commands.request(vehicle, autopilot.message_interval(message, rate_hz))
+
+    def _counted(self, vehicle: int) -> tuple[int, int]:
+        seen = self._station.fleet.seen
+        attitudes = max(int(seen[name][vehicle]) for name in ("ATTITUDE_QUATERNION", "ATTITUDE"))
+        return int(seen[self._plan.position_message(vehicle)][vehicle]), attitudes
+
+    def _tell_slow(self, vehicle: int, state: GroundState) -> None:
+        rates = self._rates[vehicle]
+        asked_hz = self._plan.rates_of(vehicle).pose_hz
+        if rates.good and min(rates.hz) < _ENOUGH * asked_hz:
+            state.notes.append(
+                f"vehicle {self._plan.spec.vehicles[vehicle].id}: sends {rates.hz[0]:.0f} positions and"
+                f" {rates.hz[1]:.0f} attitudes per second, {asked_hz:.0f} were asked for; flying with that"
+            )
+
+    # What is not well yet: each returns a problem in words, or None
+
+    def _where_else(self, vehicle: int, now_ns: int) -> str:
+        plan, fleet = self._plan, self._station.fleet
+        spec = plan.spec.vehicles[vehicle]
+        other = [plan.links[link] for link in fleet.links_of(spec.id, now_ns)]
+        if other:
+            return f"a system {spec.id} is heard on {', '.join(other)}; correct its link"
+        strangers = fleet.strangers(plan.link_of_vehicle[vehicle], now_ns)
+        if strangers:
+            return f"heard there instead: system {', '.join(map(str, strangers[:8]))}; correct its id or link"
+        return "switch it on, or correct its id or link"
+
+    def _heard(self, vehicle: int, now_ns: int, pose_ns: int) -> str | None:
+        fleet, limits, rates = self._station.fleet, self._plan.spec.limits, self._rates[vehicle]
+        heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
+        if heartbeat_s > limits.heartbeat_age_s:
+            return f"last heartbeat {heartbeat_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s"
+        pose_s = _age_s(now_ns, pose_ns)
+        if pose_s > limits.pose_age_s:
+            age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
+            return (
+                f"position and attitude: {age}, limit {limits.pose_age_s:g} s; check its estimator and the message"
+                " rates"
+            )
+        if not rates.good:
+            if np.isnan(rates.hz).any():
+                return "message rates asked for, not counted yet"
+            return (
+                f"sends {rates.hz[0]:.0f} positions and {rates.hz[1]:.0f} attitudes per second,"
+                f" {self._plan.rates_of(vehicle).pose_hz:.0f} were asked for; is the link too slow, or lossy?"
+            )
+        return None
+
+    def _readiness(self, vehicle: int, said: Mapping[int, str]) -> str | None:
+        fleet = self._station.fleet
+        if not fleet.prearm_ok[vehicle]:
+            words = said.get(vehicle)
+            return f"not ready to arm{': ' + words if words else ''}; see what the autopilot asks for"
+        if fleet.landed_state[vehicle] != LANDED_ON_GROUND:
+            return f"does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
+        return None
+
+    def _clock(self, vehicle: int, now_ns: int, state: GroundState) -> str | None:
+        clocks = self._station.fleet.clocks
+        if self._heard_ns[vehicle] == NEVER:
+            self._heard_ns[vehicle] = now_ns
+        if clocks.samples[vehicle] < _SYNC_SAMPLES:
+            if now_ns - self._heard_ns[vehicle] < _SYNC_PATIENCE_NS:
+                return "clock asked for, not answered yet"
+            state.notes.append(
+                f"vehicle {self._plan.spec.vehicles[vehicle].id}: does not answer TIMESYNC; its positions are dated by"
+                " their arrival"
+            )
+            return None
+        trip_s = float(clocks.round_trip_s[vehicle])
+        limit_s = self._plan.profile.delay_s + _ROUND_TRIP_SPARE_S
+        if trip_s > limit_s:
+            more_s = self._plan.spec.link_delay_s + trip_s - limit_s + 0.05
+            return (
+                f"its answers take {trip_s:.2f} s, limit {limit_s:.2f} s for the delay that r is kept with; use a"
+                f" quicker link, or set link_delay_s: {more_s:.2f}"
+            )
+        return None
+
+    def _place(self, vehicle: int, now_ns: int, off_m: float, drift_m: float) -> str | None:
+        fleet, plan = self._station.fleet, self._plan
+        if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
+            if np.isnan(fleet.origin_deg_m[vehicle]).any():
+                return "has not told its origin (GPS_GLOBAL_ORIGIN) yet; has it a GPS position?"
+            if fleet.origin_unsteady(vehicle, now_ns) and not self._was_given_origin(vehicle):
+                return (
+                    f"reports two different origins, {fleet.origin_moved_m[vehicle]:.2f} m apart; wait until its"
+                    " estimator has settled, or restart it"
+                )
+            if self._origin_wanted(vehicle):
+                return "was given the team's origin, has not taken it yet"
+        if not self._frame.known(vehicle):
+            return "its place in the team frame is not known yet: no global position of the first vehicle"
+        if drift_m > plan.frame_drift_m:
+            return (
+                f"its local and global positions are {drift_m:.2f} m apart, limit {plan.frame_drift_m:.2g} m; restart"
+                " its estimator"
+            )
+        if not off_m <= plan.pad_error_m:
+            return (
+                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m; put it on its pad,"
+                " restart it there, or correct pad_m"
+            )
+        return None
+
+    # Origins
+
+    def _was_given_origin(self, vehicle: int) -> bool:
+        return bool(self._origin_set[vehicle]) and self._frame.has_common_origin(self._station.fleet, vehicle)
+
+    def _origin_wanted(self, vehicle: int) -> bool:
+        """Whether a vehicle is to take the team's origin, could, has not, and is not hopeless."""
+        return (
+            self._plan.spec.set_gps_origin
+            and self._plan.autopilots[vehicle].takes_origin
+            and self._origin_set[vehicle] < _ORIGIN_TRIES
+            and not self._frame.has_common_origin(self._station.fleet, vehicle)
+        )
+
+    def _ask_for_origin(self, vehicle: int, now_ns: int) -> None:
+        plan, fleet = self._plan, self._station.fleet
+        if not plan.uses_gps(vehicle) or plan.spec.vehicles[vehicle].position != "local":
+            return
+        if now_ns - self._origin_asked_ns[vehicle] < _ORIGIN_AGAIN_NS or self._station.commands.pending(vehicle):
+            return
+        self._origin_asked_ns[vehicle] = now_ns
+        anchor = self._frame.anchor_deg_m
+        if anchor is not None and self._origin_wanted(vehicle) and np.isfinite(fleet.origin_deg_m[vehicle]).all():
+            self._frame.hold_anchor()
+            self._origin_set[vehicle] += 1
+            self._station.send(
+                vehicle,
+                "SET_GPS_GLOBAL_ORIGIN",
+                target_system=int(fleet.sysid[vehicle]),
+                latitude=round(anchor[0] * 1e7),
+                longitude=round(anchor[1] * 1e7),
+                altitude=round(anchor[2] * 1e3),
+            )
+        self._station.commands.request(vehicle, plan.autopilots[vehicle].once("GPS_GLOBAL_ORIGIN"))
+
+
+def _age_s(now_ns: int, then_ns: int) -> float:
+    return float("inf") if then_ns <= NEVER else (now_ns - then_ns) / _SECOND_NS

@@ -1,0 +1,82 @@
+"""Clocks: the true instant is within the stated uncertainty, restarts and twins are told from time stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from groundstation.mavlink.clocks import BootTimes, Clocks
+
+MS = 1_000_000
+
+
+def _ints(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.int64)
+
+
+@given(
+    ahead_ns=st.integers(-(10**12), 10**12),
+    trips=st.lists(st.tuples(st.integers(0, 300 * MS), st.integers(0, 300 * MS)), min_size=1, max_size=20),
+)
+def test_the_mapped_time_is_off_by_half_the_quickest_round_trip_at_most(
+    ahead_ns: int, trips: list[tuple[int, int]]
+) -> None:
+    clocks = Clocks(1)
+    now = 10**13
+    for up, down in trips:
+        now += 10**9
+        clocks.asked(0, now)
+        clocks.answered(0, now + up + ahead_ns, now, now + up + down)
+    now += 10**9
+    boot_ms = (now + ahead_ns) // MS
+    (mapped,) = clocks.measured_ns(_ints(0), _ints(boot_ms), _ints(now + 10**9))
+    assert abs(int(mapped) - now) <= clocks.uncertainty_s()[0] * 1e9 + MS
+    assert clocks.round_trip_s[0] >= min(up + down for up, down in trips) / 1e9
+    assert clocks.samples[0] == len(trips)
+
+
+def test_answers_to_others_do_not_count_and_nothing_was_measured_after_it_arrived() -> None:
+    clocks = Clocks(2)
+    clocks.asked(1, 1000)
+    clocks.answered(0, 5, 1000, 2000)
+    clocks.answered(1, 5, 1001, 2000)
+    assert not clocks.known.any()
+    assert clocks.measured_ns(_ints(0, 1), _ints(7, 7), _ints(50, 60)).tolist() == [50, 60]
+    clocks.answered(1, 1500, 1000, 2000)
+    clocks.answered(1, 9999, 1000, 2500)  # a copy of the answer
+    assert clocks.samples.tolist() == [0, 1]
+    assert clocks.measured_ns(_ints(1), _ints(100), _ints(3000)).tolist() == [3000]
+    clocks.forget(1)
+    assert not clocks.known.any()
+
+
+def test_old_news_is_left_out_and_small_disorder_is_no_restart() -> None:
+    times = BootTimes(2)
+    row = _ints(0, 0, 0, 1, 0)
+    fresh, restarted = times.take(row, _ints(5000, 4980, 5020, 10, 4100), row)
+    assert fresh.tolist() == [True, False, True, True, False]
+    assert restarted == []
+
+
+def test_a_time_that_stays_back_is_a_restart_and_one_straggler_is_not() -> None:
+    times = BootTimes(1)
+    zero = _ints(0)
+    times.take(zero, _ints(60_000), zero)
+    assert not times.take(zero, _ints(30_000), zero)[0][0]
+    assert times.take(zero, _ints(60_020), zero)[0][0]
+    news = [times.take(zero, _ints(ms), zero) for ms in (100, 120, 140, 160)]
+    assert [bool(fresh[0]) for fresh, _ in news] == [False, False, True, True]
+    assert [restarted for _, restarted in news] == [[], [], [0], []]
+    assert not times.two_at_once(0, 0)
+
+
+def test_two_vehicles_under_one_id_are_told_by_their_times_whatever_their_rates() -> None:
+    for burst in (1, 5):
+        times = BootTimes(1)
+        zero = _ints(0)
+        for k in range(100):
+            boot = 500_000 + 20 * k if k % (burst + 1) == 0 else 9_000 + 20 * k
+            times.take(zero, _ints(boot), _ints(k * 20 * MS))
+        assert times.two_at_once(0, 100 * 20 * MS)
+        assert not times.two_at_once(0, 10**12)
