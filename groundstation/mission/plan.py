@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from groundstation.core.control import ScaleFunction, auto_control_gain
+from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
 from groundstation.core.formation import Formation, Gains
@@ -48,6 +48,8 @@ class MissionPlan:
         profile: the slowest vehicle's figures.
         control_gain: k that multiplies (14).
         scale: f of (14).
+        lead_s: how far ahead motion counts in the law, see ``formation_control``.
+        upright_1_s: weight of the term that keeps the formation right side up, see ``formation_control``.
         links: link addresses, each once.
         link_of_vehicle: index into ``links`` per vehicle.
         autopilots: one per vehicle.
@@ -64,6 +66,8 @@ class MissionPlan:
     profile: VehicleProfile
     control_gain: float
     scale: ScaleFunction
+    lead_s: float
+    upright_1_s: float
     links: tuple[str, ...]
     link_of_vehicle: tuple[int, ...]
     autopilots: tuple[Autopilot, ...]
@@ -151,8 +155,12 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     _check_room(spec, formation, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
-    lambda_max = float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
-    automatic = auto_control_gain(lambda_max, profile.lag_s, profile.delay_s)
+    scale = ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain)
+    # The upright term fixes the vertical scale, which a free scale leaves to the start.
+    upright_1_s = 0.0 if spec.scale.kind == "free" else spec.upright_1_s
+    rate_1_s = rate_for_auto_gain_1_s(formation, gains, scale, upright_1_s)
+    lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
+    automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
     floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
     return MissionPlan(
         spec=spec,
@@ -162,7 +170,9 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         gains_npz=gains_npz,
         profile=profile,
         control_gain=automatic if spec.gain == "auto" else spec.gain,
-        scale=ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain),
+        scale=scale,
+        lead_s=lead_s,
+        upright_1_s=upright_1_s,
         links=links,
         link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
         autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),

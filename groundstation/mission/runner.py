@@ -432,8 +432,8 @@ class Runner:
         self.role_of_agent = roles
         self._task = task_for_roles(plan.formation, plan.gains, roles)
         self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))
-        # From a start at one height the law would leave to chance whether the formation stands upright or on its
-        # head, since all distances are the same: whoever ends higher starts a little higher.
+        # Where a mission does without the upright term, whoever ends higher can start a little higher: from one
+        # common height the law alone leaves to chance whether the formation stands upright or on its head.
         height = self._height_of_agent()
         spread = float(np.ptp(height))
         share = (height - height.mean()) / spread if spread > 1e-9 else np.zeros(plan.size)
