@@ -30,6 +30,7 @@ _SECOND_NS = 1_000_000_000
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
 _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
 _STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
+_DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
 _LANDED_STILL_ARMED_NS = 5 * _SECOND_NS
 _TAKEOFF_TOLERANCE_M = 0.1
@@ -386,8 +387,10 @@ class Runner:
             on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
         )
         if not fleet.armed[~self._released].any():
-            self._finish(now_ns)
+            if self._steady(now_ns, _DISARMED_NS):
+                self._finish(now_ns)
             return np.zeros((self.plan.size, 3))
+        self._steady_since_ns = NEVER
         for vehicle in np.flatnonzero(fleet.armed & ~self._released):
             if self._station.commands.pending(int(vehicle)) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
                 continue
@@ -485,10 +488,10 @@ class Runner:
         if self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
+            # Everybody is told, armed or not: an arming that is under way shows in a heartbeat up to a second later.
             for vehicle in range(self.plan.size):
                 self._station.commands.clear(vehicle)
-                if self.fleet.armed[vehicle]:
-                    self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
+                self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
             self._enter(Phase.LAND, now_ns)
         else:
             self._enter(Phase.STOP, now_ns)
@@ -519,11 +522,11 @@ class Runner:
     def _note(self, kind: str, text: str, roles: tuple[int, ...] = ()) -> None:
         self._notes.append(Note(kind, text, roles))
 
-    def _steady(self, now_ns: int) -> bool:
+    def _steady(self, now_ns: int, for_ns: int = _STEADY_NS) -> bool:
         """Whether the condition that the caller found true has been true for a while, without a break."""
         if self._steady_since_ns == NEVER:
             self._steady_since_ns = now_ns
-        return now_ns - self._steady_since_ns >= _STEADY_NS
+        return now_ns - self._steady_since_ns >= for_ns
 
     def _listen(self) -> None:
         """Takes the vehicles' words and answers."""
