@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from groundstation.mavlink.codec import Frame
 from sitl.battery import Battery
 from sitl.frames import is_place
+from sitl.mission import MissionFlight
 from sitl.params import ParamSet
 from sitl.protocol import ACCEPTED, DENIED, UNSUPPORTED, Protocol
 from sitl.telemetry import RATES_HZ
@@ -35,14 +36,18 @@ class Boot:
     Attributes:
         stream_ns: first message.
         heartbeat_ns: first heartbeat at the earliest.
-        position_ns: position estimate and origin.
-        ready_ns: prearm checks pass.
+        position_ns: position estimate.
+        ready_ns: prearm checks pass (apart from the position).
+        origin_ns: origin of the estimator.
+        deaf_ns: mode requests are acknowledged but do nothing before this.
     """
 
     stream_ns: int
     heartbeat_ns: int
     position_ns: int
     ready_ns: int
+    origin_ns: int
+    deaf_ns: int
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,7 @@ class Autopilot(Protocol):
         self._beating = False
         self._contact_since_ns: int | None = None
         endurance = world.profile_of(index).hover_endurance_s
+        self.flight = MissionFlight(self)
         self.battery = Battery(endurance) if endurance > 600 else Battery(endurance, 1, 250.0)
         self.commands.update(
             {
@@ -136,6 +142,19 @@ class Autopilot(Protocol):
         """Whether the present mode pushes towards the ground."""
         raise NotImplementedError
 
+    first_item_is_home = False
+
+    def mission_over(self) -> None:
+        """Called every tick after the last item of a mission."""
+
+    def mission_lands(self) -> None:
+        """Called when a mission asks to land here."""
+        raise NotImplementedError
+
+    def mission_returns(self) -> None:
+        """Called when a mission asks to return."""
+        raise NotImplementedError
+
     def default_rates_hz(self) -> dict[str, float]:
         """Streams that run unasked."""
         return RATES_HZ[self.config.streams]
@@ -155,7 +174,12 @@ class Autopilot(Protocol):
     @property
     def ready(self) -> bool:
         """Whether the prearm checks pass."""
-        return self.age_ns >= self.boot.ready_ns and self.has_position and not self.world.invalid[self.index]
+        return self.age_ns >= self.boot.ready_ns and self.position_good
+
+    @property
+    def position_good(self) -> bool:
+        """Whether the estimator has a position that can be flown by."""
+        return self.has_position and not self.world.invalid[self.index]
 
     def tick(self, now_ns: int, dt_s: float) -> None:
         """Runs everything that does not wait for a message, every 20 ms."""
@@ -170,8 +194,8 @@ class Autopilot(Protocol):
             self._beating = True
             world.streams.set_interval(i, "HEARTBEAT", SECOND, now_ns)
             world.send_now(i, "HEARTBEAT")
-        if not world.has_position[i] and self.age_ns >= self.boot.position_ns:
-            self.position_found()
+        if not world.has_position[i]:
+            self._look_for_position()
         self.battery.drain(float(world.dynamics.thrust_m_s2[i]) / 9.80665 * self.armed, dt_s)
         if self._param_queue:
             self.send_queued_params()
@@ -181,11 +205,27 @@ class Autopilot(Protocol):
     def started(self) -> None:
         """Called once, when the vehicle sends its first bytes."""
 
-    def position_found(self) -> None:
-        """Called when the estimator has found its position: the origin is where the vehicle stands."""
+    def _look_for_position(self) -> None:
         world, i = self.world, self.index
-        world.has_position[i] = True
+        if not world.has_gps[i]:
+            return
+        if not world.has_origin[i] and self.age_ns >= self.boot.origin_ns:
+            self.origin_found()
+        if self.age_ns >= self.boot.position_ns:
+            self.position_found()
+
+    def origin_found(self) -> None:
+        """Called when the estimator takes the place where it stands for its origin."""
+        world, i = self.world, self.index
+        world.has_origin[i] = True
         world.origin_enu_m[:, i] = world.dynamics.pos_enu_m[:, i] + world.estimator.origin_error_enu_m[:, i]
+
+    def position_found(self) -> None:
+        """Called when the estimator has found its position."""
+        world, i = self.world, self.index
+        if not world.has_origin[i]:
+            self.origin_found()
+        world.has_position[i] = True
         world.home_enu_m[:, i] = self.pos_est()
 
     # -- estimates ----------------------------------------------------------------------------------------------

@@ -25,12 +25,13 @@ IntArray = NDArray[np.int64]
 Maker = Callable[["World", View, IntArray], StructuredArray]
 MAKERS: dict[str, Maker] = {}
 NEEDS_POSITION: set[str] = set()
+NEEDS_ORIGIN: set[str] = set()
 NEEDS_GPS: set[str] = set()
 
 _SEA_LEVEL_HPA = 1013.25
 
 
-def _message(*, position: bool = False, gps: bool = False) -> Callable[[Maker], Maker]:
+def message(*, position: bool = False, origin: bool = False, gps: bool = False) -> Callable[[Maker], Maker]:
     """Registers a maker under its upper-case name; with ``position`` it is silent before the estimator is ready."""
 
     def register(maker: Maker) -> Maker:
@@ -38,6 +39,8 @@ def _message(*, position: bool = False, gps: bool = False) -> Callable[[Maker], 
         MAKERS[name] = maker
         if position:
             NEEDS_POSITION.add(name)
+        if origin:
+            NEEDS_ORIGIN.add(name)
         if gps:
             NEEDS_GPS.add(name)
         return maker
@@ -45,7 +48,8 @@ def _message(*, position: bool = False, gps: bool = False) -> Callable[[Maker], 
     return register
 
 
-def _rows(name: str, vehicles: IntArray) -> StructuredArray:
+def rows_of(name: str, vehicles: IntArray) -> StructuredArray:
+    """Empty rows of a message type, one for each vehicle."""
     return np.zeros(len(vehicles), dtype=layout(name).dtype)
 
 
@@ -53,17 +57,19 @@ def _each(world: World, vehicles: IntArray) -> list[Autopilot]:
     return [world.autopilots[i] for i in vehicles]
 
 
-def _ms(world: World, vehicles: IntArray) -> IntArray:
+def times_ms(world: World, vehicles: IntArray) -> IntArray:
+    """Time since power-up as the vehicles count it, ms."""
     return np.asarray(world.vehicle_time_ns()[vehicles] // 1_000_000)
 
 
-def _us(world: World, vehicles: IntArray) -> IntArray:
+def times_us(world: World, vehicles: IntArray) -> IntArray:
+    """The same in microseconds."""
     return np.asarray(world.vehicle_time_ns()[vehicles] // 1_000)
 
 
-@_message()
+@message()
 def _heartbeat(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("HEARTBEAT", vehicles)
+    out = rows_of("HEARTBEAT", vehicles)
     for row, pilot in zip(out, _each(world, vehicles), strict=True):
         row["type"], row["autopilot"] = 2, pilot.mav_autopilot
         row["base_mode"], row["custom_mode"] = pilot.base_mode(), pilot.custom_mode()
@@ -72,9 +78,9 @@ def _heartbeat(world: World, _view: View, vehicles: IntArray) -> StructuredArray
     return out
 
 
-@_message()
+@message()
 def _sys_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("SYS_STATUS", vehicles)
+    out = rows_of("SYS_STATUS", vehicles)
     for row, pilot in zip(out, _each(world, vehicles), strict=True):
         present, enabled, health = pilot.sensor_bits()
         row["onboard_control_sensors_present"] = present
@@ -88,54 +94,54 @@ def _sys_status(world: World, _view: View, vehicles: IntArray) -> StructuredArra
     return out
 
 
-@_message()
+@message()
 def _system_time(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("SYSTEM_TIME", vehicles)
+    out = rows_of("SYSTEM_TIME", vehicles)
     out["time_unix_usec"] = world.unix_us() + world.clock_offset_ns[vehicles] // 1000
-    out["time_boot_ms"] = _ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
     return out
 
 
-@_message()
+@message()
 def _timesync(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("TIMESYNC", vehicles)
+    out = rows_of("TIMESYNC", vehicles)
     out["ts1"] = world.vehicle_time_ns()[vehicles]
     return out
 
 
-@_message()
+@message()
 def _attitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("ATTITUDE", vehicles)
+    out = rows_of("ATTITUDE", vehicles)
     roll, pitch, yaw = view.euler_rad
     rates = view.rates_frd_rad_s
-    out["time_boot_ms"] = _ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
     out["roll"], out["pitch"], out["yaw"] = roll[vehicles], pitch[vehicles], yaw[vehicles]
     out["rollspeed"], out["pitchspeed"], out["yawspeed"] = rates[:, vehicles]
     return out
 
 
-@_message()
+@message()
 def _attitude_quaternion(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("ATTITUDE_QUATERNION", vehicles)
-    out["time_boot_ms"] = _ms(world, vehicles)
+    out = rows_of("ATTITUDE_QUATERNION", vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
     out["q1"], out["q2"], out["q3"], out["q4"] = view.quat_ned_from_frd[:, vehicles]
     out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
     return out
 
 
-@_message(position=True)
+@message(position=True)
 def _local_position_ned(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("LOCAL_POSITION_NED", vehicles)
-    out["time_boot_ms"] = _ms(world, vehicles)
+    out = rows_of("LOCAL_POSITION_NED", vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
     out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
     out["vx"], out["vy"], out["vz"] = view.vel_ned_m_s[:, vehicles]
     return out
 
 
-@_message(position=True)
+@message(position=True)
 def _odometry(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("ODOMETRY", vehicles)
-    out["time_usec"] = _us(world, vehicles)
+    out = rows_of("ODOMETRY", vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     out["frame_id"], out["child_frame_id"] = 1, 12  # LOCAL_NED, BODY_FRD
     out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
@@ -165,10 +171,10 @@ def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np
     return lat_e7, lon_e7, _number(world, alt[vehicles])
 
 
-@_message(position=True)
+@message(position=True)
 def _global_position_int(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("GLOBAL_POSITION_INT", vehicles)
-    out["time_boot_ms"] = _ms(world, vehicles)
+    out = rows_of("GLOBAL_POSITION_INT", vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = np.rint(alt * 1000.0)
     height = _number(world, view.pos_enu_m[2, vehicles]) - world.home_enu_m[2, vehicles]
@@ -179,10 +185,10 @@ def _global_position_int(world: World, view: View, vehicles: IntArray) -> Struct
     return out
 
 
-@_message(gps=True)
+@message(gps=True)
 def _gps_raw_int(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("GPS_RAW_INT", vehicles)
-    out["time_usec"] = _us(world, vehicles)
+    out = rows_of("GPS_RAW_INT", vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     out["fix_type"] = 3
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = out["alt_ellipsoid"] = np.rint(alt * 1000.0)
@@ -195,10 +201,10 @@ def _gps_raw_int(world: World, view: View, vehicles: IntArray) -> StructuredArra
     return out
 
 
-@_message()
+@message()
 def _highres_imu(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("HIGHRES_IMU", vehicles)
-    out["time_usec"] = _us(world, vehicles)
+    out = rows_of("HIGHRES_IMU", vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     out["xacc"], out["yacc"], out["zacc"] = view.specific_force_frd_m_s2[:, vehicles]
     out["xgyro"], out["ygyro"], out["zgyro"] = view.rates_frd_rad_s[:, vehicles]
     yaw = view.euler_rad[2][vehicles]
@@ -211,10 +217,10 @@ def _highres_imu(world: World, view: View, vehicles: IntArray) -> StructuredArra
     return out
 
 
-@_message(position=True)
+@message(position=True)
 def _altitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("ALTITUDE", vehicles)
-    out["time_usec"] = _us(world, vehicles)
+    out = rows_of("ALTITUDE", vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     alt = view.geodetic[2][vehicles]
     out["altitude_monotonic"] = out["altitude_amsl"] = alt
     out["altitude_local"] = -view.local_ned_m[2, vehicles]
@@ -224,9 +230,9 @@ def _altitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@_message()
+@message()
 def _vfr_hud(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("VFR_HUD", vehicles)
+    out = rows_of("VFR_HUD", vehicles)
     vel = view.vel_ned_m_s[:, vehicles]
     out["airspeed"] = out["groundspeed"] = np.hypot(vel[0], vel[1])
     out["climb"] = -vel[2]
@@ -236,11 +242,11 @@ def _vfr_hud(world: World, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@_message(position=True)
+@message(position=True)
 def _position_target_local_ned(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("POSITION_TARGET_LOCAL_NED", vehicles)
+    out = rows_of("POSITION_TARGET_LOCAL_NED", vehicles)
     dynamics = world.dynamics
-    out["time_boot_ms"] = _ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
     out["coordinate_frame"] = 1
     target = dynamics.pos_sp_enu_m[:, vehicles] - world.origin_enu_m[:, vehicles]
     held = dynamics.pos_mask[:, vehicles] > 0
@@ -252,17 +258,17 @@ def _position_target_local_ned(world: World, _view: View, vehicles: IntArray) ->
     return out
 
 
-@_message()
+@message()
 def _extended_sys_state(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("EXTENDED_SYS_STATE", vehicles)
+    out = rows_of("EXTENDED_SYS_STATE", vehicles)
     out["landed_state"] = [pilot.landed_state() for pilot in _each(world, vehicles)]
     return out
 
 
-@_message()
+@message()
 def _estimator_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("ESTIMATOR_STATUS", vehicles)
-    out["time_usec"] = _us(world, vehicles)
+    out = rows_of("ESTIMATOR_STATUS", vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     good = world.has_position[vehicles] & ~world.invalid[vehicles]
     # attitude; with a position: velocities, positions (relative, absolute), heights, predictions
     out["flags"] = np.where(good, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x1 | 0x80)
@@ -273,9 +279,9 @@ def _estimator_status(world: World, _view: View, vehicles: IntArray) -> Structur
     return out
 
 
-@_message()
+@message()
 def _ekf_status_report(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("EKF_STATUS_REPORT", vehicles)
+    out = rows_of("EKF_STATUS_REPORT", vehicles)
     good = world.has_position[vehicles] & ~world.invalid[vehicles]
     out["flags"] = np.where(good, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x1 | 0x80 | 0x400)
     for name in ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance"):
@@ -283,9 +289,9 @@ def _ekf_status_report(world: World, _view: View, vehicles: IntArray) -> Structu
     return out
 
 
-@_message()
+@message()
 def _battery_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("BATTERY_STATUS", vehicles)
+    out = rows_of("BATTERY_STATUS", vehicles)
     for row, pilot in zip(out, _each(world, vehicles), strict=True):
         battery = pilot.battery
         row["current_consumed"] = int(battery.used_mah())
@@ -301,9 +307,9 @@ def _battery_status(world: World, _view: View, vehicles: IntArray) -> Structured
     return out
 
 
-@_message(position=True)
+@message(position=True)
 def _home_position(world: World, view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("HOME_POSITION", vehicles)
+    out = rows_of("HOME_POSITION", vehicles)
     home = world.home_enu_m[:, vehicles]
     lat, lon, alt = world.geodesy.geodetic_from_enu(home)
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
@@ -311,26 +317,26 @@ def _home_position(world: World, view: View, vehicles: IntArray) -> StructuredAr
     local = home - world.origin_enu_m[:, vehicles]
     out["x"], out["y"], out["z"] = local[1], local[0], -local[2]
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["time_usec"] = _us(world, vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     return out
 
 
-@_message(position=True)
+@message(origin=True)
 def _gps_global_origin(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = _rows("GPS_GLOBAL_ORIGIN", vehicles)
+    out = rows_of("GPS_GLOBAL_ORIGIN", vehicles)
     lat, lon, alt = world.geodesy.geodetic_from_enu(world.origin_enu_m[:, vehicles])
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
-    out["time_usec"] = _us(world, vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     return out
 
 
-@_message()
+@message()
 def _hil_state_quaternion(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
     """The simulator's truth, not the estimate."""
-    out = _rows("HIL_STATE_QUATERNION", vehicles)
+    out = rows_of("HIL_STATE_QUATERNION", vehicles)
     dynamics = world.dynamics
-    out["time_usec"] = _us(world, vehicles)
+    out["time_usec"] = times_us(world, vehicles)
     out["attitude_quaternion"] = world.true_quat()[:, vehicles].T
     lat, lon, alt = world.geodesy.geodetic_from_enu(dynamics.pos_enu_m[:, vehicles])
     out["lat"], out["lon"] = np.rint(lat * 1e7), np.rint(lon * 1e7)

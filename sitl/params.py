@@ -5,6 +5,7 @@ Refuses to give them a meaning: whoever uses a parameter reads it by name.
 
 from __future__ import annotations
 
+import math
 import struct
 
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
@@ -46,9 +47,22 @@ class ParamSet:
     def set_value(self, name: str, value: float) -> bool:
         """Stores a value as its type holds it. Returns whether it changed."""
         old, kind = self._values[name]
-        new = float(round(value)) if kind in _INTEGERS else struct.unpack("<f", struct.pack("<f", value))[0]
+        if kind in _INTEGERS:
+            limit = float(2 ** {INT8: 7, INT16: 15}.get(kind, 31))
+            new = float(round(min(max(value, -limit), limit - 1.0))) if math.isfinite(value) else old
+        else:
+            new = struct.unpack("<f", struct.pack("<f", value))[0]
         self._values[name] = (new, kind)
         return bool(new != old)
+
+
+def read_table(text: str) -> dict[str, Value]:
+    """Reads names and numbers that alternate; a number with a decimal point is a float, one without an int32."""
+    words = text.split()
+    return {
+        name: (float(number), REAL32 if "." in number else INT32)
+        for name, number in zip(words[::2], words[1::2], strict=True)
+    }
 
 
 def px4_params(sysid: int) -> ParamSet:
@@ -56,3 +70,10 @@ def px4_params(sysid: int) -> ParamSet:
     from sitl.params_px4 import PX4  # noqa: PLC0415 - large tables, loaded when needed
 
     return ParamSet({**PX4, "MAV_SYS_ID": (sysid, INT32)})
+
+
+def ardupilot_params(sysid: int) -> ParamSet:
+    """ArduCopter's parameters in simulation."""
+    from sitl.params_ardupilot import ARDUCOPTER  # noqa: PLC0415 - large tables, loaded when needed
+
+    return ParamSet({**ARDUCOPTER, "MAV_SYSID": (sysid, INT16)})

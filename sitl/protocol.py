@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from groundstation.mavlink.codec import Encoder, Frame, message_name
+from groundstation.mavlink.codec import Encoder, Frame, message_id, message_name
 from sitl.messages import MAKERS
 from sitl.params import ParamSet
 from sitl.wire import Fields, unpack, whole
@@ -23,6 +23,7 @@ Command = Callable[[tuple[float, ...], Frame], int | None]
 _TEXT_BYTES = 50
 _PARAMS_PER_TICK = 20  # about 1000 a second, as PX4 was seen to send them
 _TYPE_GCS = 6
+V1_LAST_ID = 255
 
 MSG_HEARTBEAT, MSG_PING, MSG_SET_MODE = 0, 4, 11
 MSG_PARAM_REQUEST_READ, MSG_PARAM_REQUEST_LIST, MSG_PARAM_SET = 20, 21, 23
@@ -56,9 +57,10 @@ class Protocol:
     def __init__(self, world: World, index: int, config: VehicleConfig, params: ParamSet) -> None:
         self.world, self.index, self.config = world, index, config
         self.sysid, self.compid = config.sysid, 1
-        self.encoder = Encoder(config.sysid, self.compid, version=2 if config.mavlink_version != 1 else 1)
+        self.encoder = Encoder(config.sysid, self.compid, version=2 if config.mavlink_version == 2 else 1)
         self.params = params
         self.mission: list[Fields] = []
+        self.mission_seq = 0
         self.gcs_heard_ns: int | None = None
         self.ignore_commands = False
         self._param_queue: list[int] = []
@@ -94,11 +96,8 @@ class Protocol:
 
     def send(self, name: str, **fields: Any) -> None:
         """Sends one message; what MAVLink 1 cannot carry is left out there, as the firmwares do."""
-        try:
+        if self.encoder.version == 2 or message_id(name) <= V1_LAST_ID:
             self.world.emit(self.index, self.encoder.encode(name, **fields))
-        except ValueError:
-            if self.encoder.version != 1:
-                raise
 
     def text(self, severity: int, message: str) -> None:
         """Sends a STATUSTEXT, in chunks of 50 bytes when it is longer."""
@@ -314,6 +313,7 @@ class Protocol:
         if fields["count"] == 0:
             if kind == 0:
                 self.mission = []
+                self.mission_changed()
             self._mission_ack(0, frame)
             return
         self._upload = {"count": fields["count"], "items": [], "kind": kind}
@@ -355,4 +355,5 @@ class Protocol:
         self._mission_ack(0, frame)
 
     def mission_changed(self) -> None:
-        """Reacts to a new mission."""
+        """Reacts to a new mission: it starts at its beginning."""
+        self.mission_seq = 0

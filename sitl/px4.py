@@ -394,7 +394,7 @@ class Px4(Autopilot):
         elif mode == RTL:
             self._act_rtl(entering)
         elif mode == MISSION:
-            self.act_mission(entering)
+            self.flight.act(entering)
         elif entering:
             x, y, z = self._hold = self.pos_est()
             self.limit_speed()
@@ -448,11 +448,17 @@ class Px4(Autopilot):
         else:
             self.command(self._hold, (None, None, None))
 
-    def act_mission(self, entering: bool) -> None:
-        """Flies the stored mission; holds while there is none."""
-        if entering:
-            self._hold = self.pos_est()
-            self.command(self._hold, (None, None, None))
+    def mission_over(self) -> None:
+        """PX4 holds when its mission is over."""
+        self._change_mode(LOITER)
+
+    def mission_lands(self) -> None:
+        """Lands where the mission has led; shown as AUTO.LAND."""
+        self._change_mode(LAND)
+
+    def mission_returns(self) -> None:
+        """Returns and lands."""
+        self._change_mode(RTL)
 
     def unknown_param(self, name: str) -> None:
         """PX4 tells so and sends no value."""

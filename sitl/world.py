@@ -16,22 +16,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.mavlink.codec import Frame, FrameSplitter, encode_batch
-from sitl import frames
+from groundstation.mavlink.codec import Frame, FrameSplitter, encode_batch, message_id
+from sitl import frames, messages_ardupilot
+from sitl.ardupilot import ArduCopter
 from sitl.autopilot import Autopilot, Boot
 from sitl.dynamics import Dynamics
 from sitl.environment import Downwash, Wind
 from sitl.estimator import MOCAP, Estimator, Noise
 from sitl.frames import Array, Geodesy
-from sitl.messages import MAKERS, NEEDS_GPS, NEEDS_POSITION
+from sitl.messages import MAKERS, NEEDS_GPS, NEEDS_ORIGIN, NEEDS_POSITION
 from sitl.network import PERFECT, Channel, LinkConfig
 from sitl.profiles import PROFILES, Profile
+from sitl.protocol import V1_LAST_ID
 from sitl.px4 import Px4
 from sitl.telemetry import Streams, View
 
 SECOND = 1_000_000_000
 _TICK_NS = 20_000_000
 _DATAGRAM_BYTES = 1200
+messages_ardupilot.register()
+PERSONALITIES: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
 
 
 class Outgoing(NamedTuple):
@@ -150,7 +154,7 @@ class World:
         dynamics, estimator, streams, geodesy: its parts.
         autopilots: one per vehicle.
         origin_enu_m, home_enu_m: of each estimator, and home, shape (3, n).
-        has_position: estimator is ready, shape (n,).
+        has_position, has_origin: the estimator has them, shape (n,).
         talking: has sent its first bytes, shape (n,).
         frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
     """
@@ -181,6 +185,7 @@ class World:
         self.streams = Streams(tuple(MAKERS), n, config.start_ns)
         self.origin_enu_m, self.home_enu_m = pads.copy(), pads.copy()
         self.has_position = np.zeros(n, dtype=bool)
+        self.has_origin = np.zeros(n, dtype=bool)
         self.talking = np.zeros(n, dtype=bool)
         self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self.frozen_pos_enu_m = pads.copy()
@@ -298,7 +303,7 @@ class World:
         pilot = self.autopilots[index]
         self._flush()
         pilot.disarm()
-        self.talking[index] = self.has_position[index] = False
+        self.talking[index] = self.has_position[index] = self.has_origin[index] = False
         self._boot_ns[index] = self.now_ns
         self.clock_offset_ns[index] = 0
         for name in self.streams.names:
@@ -348,10 +353,14 @@ class World:
         able = self.talking[vehicles]
         if name in NEEDS_POSITION:
             able &= self.has_position[vehicles]
+        elif name in NEEDS_ORIGIN:
+            able &= self.has_origin[vehicles]
         if name in NEEDS_GPS:
             able &= self.has_gps[vehicles]
         if name in self.muted:
             able &= ~self.muted[name][vehicles]
+        if message_id(name) > V1_LAST_ID:
+            able &= np.array([self.autopilots[i].encoder.version == 2 for i in vehicles])
         if not able.all():
             vehicles = vehicles[able]
         if not len(vehicles):
@@ -397,7 +406,8 @@ class World:
 
     def _power_up(self, index: int) -> Autopilot:
         config = self.config.vehicles[index]
-        return Px4(self, index, config, self._boot_of(config.autopilot))
+        kind = PERSONALITIES[config.autopilot]
+        return kind(self, index, config, self._boot_of(config.autopilot))
 
     def _boot_of(self, autopilot: str) -> Boot:
         """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""
@@ -406,11 +416,13 @@ class World:
         def ns(low_s: float, high_s: float) -> int:
             return round((low_s + (high_s - low_s) * spread) * SECOND)
 
+        px4 = autopilot == "px4"
         if not self.config.real_boot:
-            return Boot(ns(0.1, 0.1), ns(0.1, 0.1), ns(1.0, 1.4), ns(1.8, 2.0))
-        if autopilot == "px4":
-            return Boot(ns(1.0, 1.1), ns(2.1, 2.8), ns(1.2, 1.8), ns(5.0, 7.5))
-        return Boot(ns(0.5, 0.6), ns(1.9, 2.1), ns(41.0, 43.0), ns(23.5, 24.5))
+            position, ready = (ns(1.0, 1.4), ns(1.8, 2.0)) if px4 else (ns(1.8, 2.0), ns(0.9, 1.0))
+            return Boot(ns(0.1, 0.1), ns(0.1, 0.1), position, ready, min(position, ns(1.0, 1.4)), ns(0.2, 0.2))
+        if px4:
+            return Boot(ns(1.0, 1.1), ns(2.1, 2.8), ns(1.2, 1.8), ns(5.0, 7.5), ns(1.2, 1.8), 0)
+        return Boot(ns(0.5, 0.6), ns(1.9, 2.1), ns(41.5, 42.5), ns(23.5, 24.5), ns(20.5, 21.5), ns(3.0, 3.0))
 
     def _wind(self, rng: np.random.Generator, step_s: float) -> Wind | None:
         wind = self.config.wind
@@ -459,5 +471,6 @@ def _check(config: WorldConfig) -> None:
         seen.add(vehicle.sysid)
         if vehicle.profile not in PROFILES:
             raise ValueError(f"{where}: profile is {vehicle.profile!r}, one of {', '.join(PROFILES)} is needed")
-        if vehicle.autopilot not in ("px4", "arducopter"):
-            raise ValueError(f"{where}: autopilot is {vehicle.autopilot!r}, px4 or arducopter is needed")
+        if vehicle.autopilot not in PERSONALITIES:
+            names = " or ".join(PERSONALITIES)
+            raise ValueError(f"{where}: autopilot is {vehicle.autopilot!r}, {names} is needed")

@@ -136,6 +136,7 @@ def formation_control(
     task: Task,
     scale: ScaleFunction,
     control_gain: float = 1.0,
+    *,
     lead_s: float = 0.0,
     upright_1_s: float = 0.0,
 ) -> FloatArray:
@@ -213,6 +214,36 @@ def largest_rate_1_s(gains: Gains) -> float:
     return float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
 
 
+def stiffest_rate_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, upright_1_s: float = 0.0) -> float:
+    """The fastest mode of the closed loop (14) around the formation, f and the upright term included, 1/s.
+
+    Around q* the map f adds -f'(0) d*_ij n n^T per edge, n its direction: 15 for the cube (10 without f), 29 for
+    rings16, 157 for a complete graph of 27. Arguments as in `formation_control`, by role.
+    """
+    n, points, edges = formation.size, formation.points_enu_m, formation.edges
+    matrix = np.zeros((3, n, 3, n))  # axis, agent, axis, agent
+    matrix[0, :, 0], matrix[1, :, 1], matrix[2, :, 2] = gains.xy.real, gains.xy.real, gains.z
+    matrix[0, :, 1], matrix[1, :, 0] = -gains.xy.imag, gains.xy.imag
+    slope = 0.0 if scale.kind == "free" else scale.gain
+    for i, j in edges:
+        away = points[j] - points[i]
+        block = slope * np.outer(away, away) / np.sqrt(float(away @ away))
+        block[2, 2] += upright_1_s
+        for a, b in ((i, j), (j, i)):
+            matrix[:, a, :, b] += block
+            matrix[:, a, :, a] -= block
+    return float(np.abs(np.linalg.eigvalsh(matrix.reshape(3 * n, 3 * n))).max())
+
+
+def rate_for_auto_gain_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, upright_1_s: float = 0.0) -> float:
+    """The rate that `auto_control_gain` is to be given: that of the gains, or half of the stiffest mode's if more.
+
+    The rule k lambda_max (tau + delay) = 0.5 was found on the cube, whose f is mild. In graphs with many edges f adds
+    up and sets the pace; half of its rate keeps k lambda (tau + delay) at 1, a damping of a half.
+    """
+    return max(largest_rate_1_s(gains), 0.5 * stiffest_rate_1_s(formation, gains, scale, upright_1_s))
+
+
 def auto_control_gain(lambda_max_1_s: float, tau_s: float, delay_s: float, lead_s: float = 0.0) -> float:
     """The control gain that a lagging vehicle can bear: k lambda_max (tau + delay) = 0.5, at most 1.
 
@@ -220,7 +251,7 @@ def auto_control_gain(lambda_max_1_s: float, tau_s: float, delay_s: float, lead_
     1 / sqrt(2) or more. With k lambda (tau + delay) = 10 every run oscillated, with 0.5 every run formed.
 
     Args:
-        lambda_max_1_s: largest magnitude of an eigenvalue of the gains, > 0.
+        lambda_max_1_s: `rate_for_auto_gain_1_s`, > 0; for sparse graphs the largest eigenvalue of the gains.
         tau_s: lag of the slowest vehicle's velocity loop, >= 0.
         delay_s: from measurement to effect, >= 0.
         lead_s: the part of the lag that `formation_control` makes up for.

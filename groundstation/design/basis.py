@@ -5,8 +5,8 @@ With NT scaling W = G G* of each cone, the Schur complement is M_kl = <H_k, W1 H
 * Dense: a null-space basis, H_k as full matrices. For small teams.
 * Rank one: H_k = v_k v_k*, v_k with at most three entries. Then M_kl = |v_k* W v_l|^2, summed over both cones, is
   formed entry by entry. Every triangle of the graph gives one: v on its three agents, orthogonal to 1 and to the
-  coordinate, already satisfies the kernel equations. Where triangles do not span all admissible matrices, the unknowns are edges
-  (and the diagonal) instead, and the kernel equations remain as constraints.
+  coordinate, already satisfies the kernel equations. Where triangles do not span all admissible matrices, the
+  unknowns are edges (and the diagonal) instead, and the kernel equations remain as constraints.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ import scipy.spatial
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from groundstation.core.formation import Formation, Gains
-from groundstation.core.types import ComplexArray, FloatArray
 from groundstation.design.certify import (
     WEAKEST,
     BlockCertificate,
@@ -26,9 +25,11 @@ from groundstation.design.certify import (
     scale_to_norm,
 )
 from groundstation.design.closed_form import solve_complete
+from groundstation.design.diagnosis import findings
 from groundstation.design.interior_point import solve_interior_point
 from groundstation.design.problem import Block, BlockSolution, Matrix, Watch, hermitian_part, split
 from groundstation.design.sdp import solve_clarabel, solve_cvxpy
+from groundstation.design.shapes import notes
 from groundstation.design.splitting import solve_splitting
 
 SPECTRAL_NORM = 10.0
@@ -41,10 +42,13 @@ DENSE_GRAPH = 0.3
 """Share of all pairs that are edges, above which splitting converges faster than an interior point."""
 
 FEW_ITERATIONS = 600
-"""Splitting iterations before the interior point is tried."""
+"""Splitting iterations where an interior point can be tried as well."""
 
 LARGEST_SCHUR = 14_000
 """Unknowns up to which the Schur complement of an interior point is formed: 1.6 GB."""
+
+NEAR = 0.05
+"""Distance of a pair relative to the formation's size that deserves a warning."""
 
 Solver = Callable[[Block, float, Watch], BlockSolution]
 
@@ -68,6 +72,7 @@ class DesignResult:
         reason: why it was refused, empty otherwise.
         method: what found the blocks, ``xy/z`` where they differ.
         finished: whether the gap was reached.
+        notes: what the shape leaves free, and warnings, in words.
     """
 
     formation: Formation
@@ -76,6 +81,7 @@ class DesignResult:
     reason: str
     method: str
     finished: bool
+    notes: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -85,7 +91,7 @@ class DesignResult:
 
 def default_gap(n: int) -> float:
     """Certified relative gap at which a method may stop: 1e-6 where it costs nothing, 1e-3 to n = 150, then 1e-2."""
-    if n <= 32:
+    if n <= 16:
         return 1e-6
     return 1e-3 if n <= 150 else 1e-2
 
@@ -100,7 +106,7 @@ def suitable_methods(block: Block) -> list[str]:
     unknowns = len(block.unknown_edges) - (3 * n if block.is_complex else n)
     density = 2.0 * edges / (n * (n - 1))
     fits = unknowns <= LARGEST_SCHUR
-    if n <= 32 or density < DENSE_GRAPH:
+    if density < DENSE_GRAPH:
         return ["interior-point", "splitting"] if fits else ["splitting"]
     return ["splitting", "interior-point"] if fits else ["splitting"]
 
@@ -135,6 +141,8 @@ def design(
         i, j = together[0]
         reason = f"agents {i + 1} and {j + 1} stand in one place; move one of them, gains cannot tell them apart"
         return DesignResult(formation, None, None, reason, "none", finished=True)
+    if formation.size == 2 and not formation.edges:
+        return DesignResult(formation, None, None, "no edge joins agent 1 to agent 2", "none", finished=True)
     watch = watch or Watch()
     wanted = default_gap(formation.size) if gap is None else gap
     with _one_thread():
@@ -148,8 +156,11 @@ def design(
     )
     certificate = Certificate(found[0].figures, found[1].figures)
     finished = all(part.reached for part in found)
-    reason = _refusal(certificate, spectral_norm) or "; ".join(faults(formation, gains, certificate))
-    return DesignResult(formation, None if reason else gains, certificate, reason, used, finished)
+    why = "; ".join(findings(formation, (xy, z), certificate))
+    reason = "; ".join(_refusal(certificate, spectral_norm))
+    reason = (f"{reason}: {why}" if reason and why else reason) or "; ".join(faults(formation, gains, certificate))
+    said = tuple(notes(formation) + _near_misses(formation))
+    return DesignResult(formation, None if reason else gains, certificate, reason, used, finished, said)
 
 
 @dataclass(frozen=True)
@@ -169,8 +180,8 @@ def _solve(block: Block, method: str, gap: float, spectral_norm: float, watch: W
         return _Found("closed-form", zero, certify_block(block, zero, zero), reached=True)
     names = suitable_methods(block) if method == "auto" else [method]
     best: _Found | None = None
-    for place, name in enumerate(names):
-        if name == "splitting" and place + 1 < len(names):
+    for name in names:
+        if name == "splitting" and len(names) > 1:
             solution = solve_splitting(block, gap, watch, most=FEW_ITERATIONS)
         else:
             solution = METHODS[name](block, gap, watch)
@@ -197,7 +208,7 @@ def _reached(figures: BlockCertificate, gap: float, spectral_norm: float) -> boo
     if figures.bound < WEAKEST * spectral_norm:
         return True
     # rounding in matrix and dual may cost a little of the last digit that the method saw
-    wanted = max(2.0 * gap, 1e-7) * figures.bound
+    wanted = max(2.0 * gap * figures.bound, 3e-9 * spectral_norm)
     return figures.slowest >= WEAKEST * spectral_norm and figures.bound - figures.slowest <= wanted
 
 
@@ -226,7 +237,22 @@ def coincident_agents(formation: Formation) -> list[tuple[int, int]]:
     return sorted((int(i), int(j)) for i, j in pairs)
 
 
-def _refusal(certificate: Certificate, spectral_norm: float) -> str:
+def _near_misses(formation: Formation) -> list[str]:
+    """Warning about a pair that is much nearer than the formation is large: (11) does not see distances either."""
+    if formation.size < 3:
+        return []
+    points = formation.points_enu_m - formation.points_enu_m.mean(axis=0)
+    found = scipy.spatial.cKDTree(points).query(points, 2)
+    distances, neighbours = np.asarray(found[0])[:, 1], np.asarray(found[1])[:, 1]
+    nearest = int(np.argmin(distances))
+    apart_m = float(distances[nearest])
+    if apart_m >= NEAR * float(np.max(np.abs(points))):
+        return []
+    i, j = sorted((nearest + 1, int(neighbours[nearest]) + 1))
+    return [f"agents {i} and {j} are only {apart_m:.3g} m apart: gains do not keep agents from each other"]
+
+
+def _refusal(certificate: Certificate, spectral_norm: float) -> list[str]:
     parts = []
     for label, figures in (("horizontally", certificate.xy), ("vertically", certificate.z)):
         if figures.slowest >= WEAKEST * spectral_norm:
@@ -238,7 +264,7 @@ def _refusal(certificate: Certificate, spectral_norm: float) -> str:
                 f"{label}, nothing could be certified: the slowest mode lies between 0 and {figures.bound:.3g} 1/s; "
                 "allow more time or another method"
             )
-    return "; ".join(parts)
+    return parts
 
 
 _controller: list[ThreadpoolController] = []
@@ -252,20 +278,15 @@ def _one_thread() -> AbstractContextManager[object]:
     return limited
 
 
-def aggregate(gains: Gains) -> FloatArray:
-    """The matrix A of (7), built from the blocks of (3).
+def evaluator(
+    gap: float = 0.02, spectral_norm: float = SPECTRAL_NORM
+) -> Callable[[Formation], tuple[float, Certificate | None]]:
+    """A quick look at other formations: slowest certified mode, 1/s, 0 where the design is refused."""
 
-    Args:
-        gains: the two blocks, shape (n, n) each.
+    def evaluate(formation: Formation) -> tuple[float, Certificate | None]:
+        result = design(formation, gap=gap, spectral_norm=spectral_norm)
+        if result.certificate is None or not result.feasible:
+            return 0.0, result.certificate
+        return -(result.certificate.lambda_max or 0.0), result.certificate
 
-    Returns:
-        Shape (3n, 3n), acting on [x1, y1, z1, x2, ...].
-    """
-    n = len(gains.z)
-    blocks = np.zeros((n, 3, n, 3))
-    xy: ComplexArray = gains.xy
-    blocks[:, 0, :, 0] = blocks[:, 1, :, 1] = xy.real
-    blocks[:, 1, :, 0] = xy.imag
-    blocks[:, 0, :, 1] = -xy.imag
-    blocks[:, 2, :, 2] = gains.z
-    return blocks.reshape(3 * n, 3 * n)
+    return evaluate

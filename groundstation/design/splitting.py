@@ -2,7 +2,8 @@
 
 One set holds the matrices with the graph's pattern and kernel, the other those with t I <= H <= I, t as large as it
 may be. Projections onto both are cheap: one factorised linear solve, one Hermitian eigendecomposition. The difference
-of the two projections converges to a dual matrix, which ``certify`` turns into a bound; so the gap is known while it runs.
+of the two projections converges to a dual matrix, which ``certify`` turns into a bound; so the gap is known while it
+runs.
 
 Nearly complete graphs are reduced first, exactly. Missing edges constrain H only through Q* e_i of the agents that miss
 one. Off the span of those vectors, replacing Q* H Q by the identity leaves every constraint and, by interlacing, the
@@ -210,9 +211,10 @@ def solve_splitting(block: Block, gap: float, watch: Watch, most: int = MOST_ITE
     while iteration < most and not finished and not watch.stop():
         admissible = small.project(state)
         if iteration % CHECK_EVERY == 0 or (iteration < 20 and iteration in (1, 2, 4, 7, 13)):
-            slowest = _slowest(admissible)
-            if slowest > best_slowest:
-                best, best_slowest = admissible, slowest
+            values = np.linalg.eigvalsh(admissible)
+            if values[0] > best_slowest * values[-1]:
+                # scaled to the norm of the identity that fills up the rest
+                best, best_slowest = admissible / values[-1], float(values[0] / values[-1])
             dual = state - admissible
             proven = _bound(dual)
             if proven < bound:
@@ -223,11 +225,6 @@ def solve_splitting(block: Block, gap: float, watch: Watch, most: int = MOST_ITE
         state = state + bounded - admissible
         iteration += 1
     return BlockSolution(small.expand(best), small.lift(best_dual), iteration, finished)
-
-
-def _slowest(matrix: Matrix) -> float:
-    values = np.linalg.eigvalsh(matrix)
-    return float(values[0] / values[-1]) if values[-1] > 0 else -1.0
 
 
 def _bound(dual: Matrix) -> float:

@@ -13,13 +13,11 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.avoidance import SafetySphere, avoid
 from groundstation.core.control import Task, formation_control, saturate
-from groundstation.core.damper import DamperParams, damp
+from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
-
-_WALL_NORMALS_NED = np.vstack([-np.eye(3), np.eye(3)])
 
 
 @dataclass(frozen=True)
@@ -62,12 +60,13 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What two positions may be off against each other is added to r and d: then true distances stay above r.
-        self._region = SafetySphere(
-            spec.avoidance.radius_m + plan.margin_m, spec.avoidance.activation_m + plan.margin_m
-        )
+        off_diagonal = ~np.eye(plan.size, dtype=np.bool_)
+        shortest_m = float(plan.formation.distances_m[off_diagonal].min())
+        margin_m = fitting_margin_m(plan.margin_m, spec.avoidance.radius_m, shortest_m)
+        self._region = SafetySphere(spec.avoidance.radius_m + margin_m, spec.avoidance.activation_m + margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
-            margin_m=plan.margin_m,
+            margin_m=margin_m,
             lag_s=profile.lag_s,
             delay_s=profile.delay_s,
             tick_s=self._period_s,
@@ -79,6 +78,7 @@ class Guide:
         self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
+        self._stopping_s = profile.lag_s + profile.delay_s
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
         floor_enu = np.array([*spec.fence.min_m[:2], max(plan.min_altitude_m, spec.fence.min_m[2])])
         self._formation_box = Fence.from_enu(floor_enu, np.array(spec.fence.max_m))
@@ -97,7 +97,7 @@ class Guide:
             self._plan.scale,
             control_gain,
             lead_s=self._plan.lead_s,
-            upright_1_s=self._plan.spec.upright_1_s,
+            upright_1_s=self._plan.upright_1_s,
         )
         return self._finish(poses, views, wish, self._formation_box)
 
@@ -120,13 +120,14 @@ class Guide:
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
         avoided = avoid(views, saturate(wish_flu_m_s, speed_max), self._region)
-        low, high = fence_bounds(poses.pos_team_ned_m, box, self._approach_rate_1_s)
-        walls_flu = frames.rotate_back(rot_ned_from_flu[:, None], _WALL_NORMALS_NED)
-        damped = damp(views, avoided.vel_flu_m_s, self._damper, walls_flu, np.concatenate([low, high], axis=1))
+        # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.
+        ahead_ned_m = poses.pos_team_ned_m + self._stopping_s * poses.vel_ned_m_s
+        normals_flu, bounds_m_s = walls(rot_ned_from_flu, *fence_bounds(ahead_ned_m, box, self._approach_rate_1_s))
+        damped = damp(views, avoided.vel_flu_m_s, self._damper, normals_flu, bounds_m_s)
         vel_ned_m_s = apply_limits(
             frames.rotate(rot_ned_from_flu, damped.vel_flu_m_s),
             self._previous_ned_m_s,
-            poses.pos_team_ned_m,
+            ahead_ned_m,
             speed_max_m_s=speed_max,
             accel_max_m_s2=self._plan.acceleration_limit_m_s2,
             period_s=self._period_s,
@@ -134,4 +135,4 @@ class Guide:
             fence_rate_1_s=self._approach_rate_1_s,
         )
         self._previous_ned_m_s = vel_ned_m_s
-        return Setpoints(vel_ned_m_s, avoided.blocked)
+        return Setpoints(vel_ned_m_s, avoided.blocked | damped.held)

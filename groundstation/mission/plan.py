@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from groundstation.core.control import ScaleFunction, auto_control_gain
+from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
 from groundstation.core.formation import Formation, Gains
@@ -52,13 +52,14 @@ class MissionPlan:
         profile: the slowest vehicle's figures, with the delay of the links and the error of the positions.
         control_gain: k that multiplies (14).
         scale: f of (14).
+        lead_s: how far ahead motion counts in the law, see ``formation_control``.
+        upright_1_s: weight of the term that keeps the formation right side up, see ``formation_control``.
         links: link addresses, each once.
         addresses: the same, read.
         link_of_vehicle: index into ``links`` per vehicle.
         rates: of each link.
         positioning: mocap, rtk or gps.
         margin_m: what two positions may be off against each other; added to r and d.
-        lead_s: lag that the control law makes up for.
         autopilots: one per vehicle.
         pads_enu_m: shape (n, 3), team frame.
         min_altitude_m: nobody who flies the formation goes below, above the team frame's ground.
@@ -73,13 +74,14 @@ class MissionPlan:
     profile: VehicleProfile
     control_gain: float
     scale: ScaleFunction
+    lead_s: float
+    upright_1_s: float
     links: tuple[str, ...]
     addresses: tuple[LinkAddress, ...]
     link_of_vehicle: tuple[int, ...]
     rates: tuple[LinkRates, ...]
     positioning: str
     margin_m: float
-    lead_s: float
     autopilots: tuple[Autopilot, ...]
     pads_enu_m: FloatArray
     min_altitude_m: float
@@ -214,9 +216,12 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         delay_s=profile.delay_s + spec.link_delay_s + max(waits_s, 0.0),
         position_error_m=position_error_m,
     )
-    lead_s = profile.lag_s if spec.lead == "auto" else spec.lead
-    lambda_max = float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
-    automatic = auto_control_gain(lambda_max, profile.lag_s, profile.delay_s, lead_s)
+    scale = ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain)
+    # The upright term fixes the vertical scale, which a free scale leaves to the start.
+    upright_1_s = 0.0 if spec.scale.kind == "free" else spec.upright_1_s
+    rate_1_s = rate_for_auto_gain_1_s(formation, gains, scale, upright_1_s)
+    lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
+    automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
     floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
     return MissionPlan(
         spec=spec,
@@ -226,14 +231,15 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         gains_npz=gains_npz,
         profile=profile,
         control_gain=automatic if spec.gain == "auto" else spec.gain,
-        scale=ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain),
+        scale=scale,
+        lead_s=lead_s,
+        upright_1_s=upright_1_s,
         links=links,
         addresses=addresses,
         link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
         rates=rates,
         positioning=positioning,
         margin_m=margin_m(position_error_m),
-        lead_s=lead_s,
         autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),
         pads_enu_m=pads,
         min_altitude_m=floor,

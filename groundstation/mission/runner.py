@@ -34,6 +34,7 @@ from groundstation.mission.schema import FormStep, HoldStep
 _SECOND_NS = 1_000_000_000
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
 _STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
+_DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
 _LAND_SPARE_S = 60.0  # beyond the mission's own limit, before a vehicle that stays armed is left to its pilot
 _TAKEOFF_TOLERANCE_M = 0.1
@@ -379,8 +380,10 @@ class Runner:
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
         limit_s = self.plan.spec.land.timeout_s + _LAND_SPARE_S
         if self._landing.step(now_ns, poses, self._released):
-            self._finish(now_ns)
+            if self._steady(now_ns, _DISARMED_NS):
+                self._finish(now_ns)
             return np.zeros((self.plan.size, 3))
+        self._steady_since_ns = NEVER
         if now_ns - self._phase_ns >= limit_s * _SECOND_NS:
             self._abort(self._landing.still_armed(limit_s, self._released))
             self._finish(now_ns)
@@ -416,8 +419,8 @@ class Runner:
         self.role_of_agent = roles
         self._task = task_for_roles(plan.formation, plan.gains, roles)
         self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))
-        # From a start at one height the law would leave to chance whether the formation stands upright or on its
-        # head, since all distances are the same: whoever ends higher starts a little higher.
+        # Where a mission does without the upright term, whoever ends higher can start a little higher: from one
+        # common height the law alone leaves to chance whether the formation stands upright or on its head.
         height = self._height_of_agent()
         spread = float(np.ptp(height))
         share = (height - height.mean()) / spread if spread > 1e-9 else np.zeros(plan.size)
@@ -457,10 +460,10 @@ class Runner:
         if self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
+            # Everybody is told, armed or not: an arming that is under way shows in a heartbeat up to a second later.
             for vehicle in range(self.plan.size):
                 self._station.commands.clear(vehicle)
-                if self.fleet.armed[vehicle]:
-                    self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
+                self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
             self._enter(Phase.LAND, now_ns)
         else:
             self._climb.under_way[:] = False
@@ -492,11 +495,11 @@ class Runner:
     def _note(self, kind: str, text: str, roles: tuple[int, ...] = ()) -> None:
         self._notes.append(Note(kind, text, roles))
 
-    def _steady(self, now_ns: int) -> bool:
+    def _steady(self, now_ns: int, for_ns: int = _STEADY_NS) -> bool:
         """Whether the condition that the caller found true has been true for a while, without a break."""
         if self._steady_since_ns == NEVER:
             self._steady_since_ns = now_ns
-        return now_ns - self._steady_since_ns >= _STEADY_NS
+        return now_ns - self._steady_since_ns >= for_ns
 
     def _listen(self) -> None:
         """Takes the vehicles' words and answers."""

@@ -37,7 +37,7 @@ class TakeoffSpec(_Strict):
     """Height above the pads at which the team gathers, and how much roles that end higher start higher."""
 
     height_m: Positive = 0.5
-    stagger_m: NotNegative = 0.1
+    stagger_m: NotNegative = 0.0
     timeout_s: Positive = 20.0
 
 
@@ -133,6 +133,8 @@ class MissionSpec(_Strict):
     speed_limit_m_s: Positive = 0.5
     acceleration_limit_m_s2: Positive | None = None
     gain: Literal["auto"] | Positive = "auto"
+    lead_s: Literal["auto"] | NotNegative = "auto"
+    upright_1_s: NotNegative = 1.0
     scale: ScaleSpec = ScaleSpec()
     avoidance: AvoidanceSpec
     assignment: Literal["auto", "fixed"] = "auto"
@@ -146,8 +148,6 @@ class MissionSpec(_Strict):
     position_error_m: Positive | None = None
     anchor: AnchorSpec | None = None
     set_gps_origin: bool = False
-    lead: Literal["auto"] | NotNegative = 0.0
-    upright_1_s: NotNegative = 0.0
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]

@@ -93,6 +93,27 @@ def test_ctrl_c_once_brings_everybody_back_and_down(phase: Phase) -> None:
         assert Phase.TAKEOFF not in flight.phase_seen
 
 
+def test_ctrl_c_while_arming_is_under_way_leaves_nobody_armed() -> None:
+    """The arm commands are on their way, no heartbeat shows it yet: the runner has to disarm all the same."""
+    armed: list[bool] = []
+    done: list[int] = []
+
+    def interrupt(flight: Flight) -> bool:
+        truth_armed = bool(flight.world.truth.armed.any())
+        armed.append(truth_armed)
+        if truth_armed and not flight.runner.fleet.armed.any() and not done:
+            done.append(flight.now_ns)
+            return True
+        return False
+
+    flight = Flight(cube8(), interrupt_when=interrupt)
+    assert done
+    assert flight.runner.outcome == "aborted"
+    assert not flight.runner.fleet.armed.any()
+    assert _all_down(flight)
+    assert Phase.TAKEOFF not in flight.phase_seen
+
+
 def test_ctrl_c_twice_ends_the_setpoints_and_the_autopilots_land_by_themselves() -> None:
     sent_at: list[tuple[int, int]] = []
 

@@ -179,7 +179,9 @@ def fly(
             tilt[0] + np.arctan(aside / GRAVITY_M_S2), tilt[1] - np.arctan(ahead / GRAVITY_M_S2), yaw
         )
         views = local_views(seen_pos, seen_vel, quat, sensed)
-        want = control.formation_control(views, task, chain.scale, chain.control_gain, chain.lead_s, chain.upright_1_s)
+        want = control.formation_control(
+            views, task, chain.scale, chain.control_gain, lead_s=chain.lead_s, upright_1_s=chain.upright_1_s
+        )
         want = control.saturate(want, chain.speed_m_s)
         if chain.rotate:
             avoided = avoidance.avoid(views, want, sphere)

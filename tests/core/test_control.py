@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from groundstation.core import control, frames
 from groundstation.core.control import ScaleFunction, Task
 from groundstation.core.formation import Gains
-from groundstation.core.types import BoolArray
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from tests.core.lag_team import cube, cube_gains
 from tests.core.strategies import Team, level_teams, teams
@@ -100,9 +100,11 @@ def test_an_agent_that_sees_nobody_stands() -> None:
 def test_team_at_once_is_agent_by_agent_to_the_bit(
     team: Team, scale: ScaleFunction, lead_s: float, upright: float
 ) -> None:
-    together = control.formation_control(team.views, team.task, scale, 0.3, lead_s, upright)
+    together = control.formation_control(team.views, team.task, scale, 0.3, lead_s=lead_s, upright_1_s=upright)
     for i in range(team.size):
-        alone = control.formation_control(team.views.agent(i), team.task.agent(i), scale, 0.3, lead_s, upright)
+        alone = control.formation_control(
+            team.views.agent(i), team.task.agent(i), scale, 0.3, lead_s=lead_s, upright_1_s=upright
+        )
         np.testing.assert_array_equal(alone[0], together[i])
 
 
@@ -226,6 +228,35 @@ def test_saturation_keeps_direction_and_short_vectors(vector: list[float], limit
 )
 def test_auto_gain_follows_the_lag(tau: float, delay: float, lead: float, gain: float) -> None:
     assert control.auto_control_gain(10.0, tau, delay, lead) == pytest.approx(gain)
+
+
+@pytest.mark.parametrize("upright", [0.0, 0.7])
+@pytest.mark.parametrize("scale", [FREE, ARCTAN, ScaleFunction("tanh", 1.3)])
+def test_the_stiffest_mode_is_that_of_the_linearised_law(scale: ScaleFunction, upright: float) -> None:
+    """Differences of the law itself around the formation, in level frames that face east (FLU = ENU)."""
+    step, task = 1e-6, control.task_for_roles(cube(), cube_gains(), np.arange(8))
+    east = np.tile(frames.quat_ned_from_frd_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])), (8, 1))
+
+    def law(pos_enu: FloatArray) -> FloatArray:
+        views = local_views(frames.ned_from_enu(pos_enu), np.zeros((8, 3)), east, np.ones((8, 8), dtype=np.bool_))
+        return control.formation_control(views, task, scale, upright_1_s=upright).ravel()
+
+    points = cube().points_enu_m
+    columns = [
+        (law(points + step * unit.reshape(8, 3)) - law(points - step * unit.reshape(8, 3))) / (2 * step)
+        for unit in np.eye(24)
+    ]
+    rates = np.linalg.eigvals(np.array(columns).T)
+    assert rates.real.max() < 1e-6  # Proposition 2
+    assert control.stiffest_rate_1_s(cube(), cube_gains(), scale, upright) == pytest.approx(-rates.real.min(), rel=1e-6)
+
+
+def test_the_rate_for_the_auto_gain() -> None:
+    assert control.rate_for_auto_gain_1_s(cube(), cube_gains(), ARCTAN) == pytest.approx(10.0)
+    steep = ScaleFunction("arctan", 25.0)
+    stiffest = control.stiffest_rate_1_s(cube(), cube_gains(), steep)
+    assert control.rate_for_auto_gain_1_s(cube(), cube_gains(), steep) == pytest.approx(stiffest / 2)
+    assert stiffest > 50.0
 
 
 @pytest.mark.parametrize("arguments", [(0.0, 1.0, 0.1), (10.0, -1.0, 0.1), (10.0, 1.0, np.nan)])

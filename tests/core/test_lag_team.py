@@ -119,7 +119,7 @@ def test_the_stored_gains_form_the_stored_cube() -> None:
     if not path.exists():
         pytest.skip("configs/gains/cube8.npz is not there")
     with np.load(path, allow_pickle=False) as stored:
-        edges = tuple((int(i), int(j)) for i, j in stored["edges"])
+        edges = tuple((int(i) - 1, int(j) - 1) for i, j in stored["edges"])
         formation = Formation("cube8", np.asarray(stored["points"], dtype=np.float64), edges)
         gains = Gains(xy=np.asarray(stored["xy"], dtype=np.complex128), z=np.asarray(stored["z"], dtype=np.float64))
     assert control.largest_rate_1_s(gains) == pytest.approx(10.0, rel=1e-3)

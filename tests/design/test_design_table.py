@@ -9,7 +9,8 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.formation import Formation
-from groundstation.design.designer import METHODS, DesignResult, aggregate, design
+from groundstation.design.designer import METHODS, DesignResult, design
+from groundstation.design.matrices import aggregate
 from groundstation.design.store import check_gains, load_formation, load_gains
 
 FORMATIONS = packaged_configs() / "formations"

@@ -27,11 +27,15 @@ def test_cube8_is_flown_as_the_paper_says_with_the_gain_that_the_lag_allows() ->
     plan = load_mission(CUBE8)
     assert (plan.spec.avoidance.radius_m, plan.spec.avoidance.activation_m) == (0.45, 0.5)
     assert (plan.scale.kind, plan.scale.gain) == ("arctan", 2.5)
-    # k lambda_max (tau + delay) = 0.5 with lambda_max = 10, tau = 0.2 s, delay = 0.05 s.
-    assert plan.control_gain == pytest.approx(0.2, rel=1e-6)
-    slower = load_mission(CUBE8, ["vehicles.3.profile=px4_quad"])
+    # The paper's law alone: k lambda_max (tau + delay) = 0.5 with lambda_max = 10, tau = 0.2 s, delay = 0.05 s.
+    bare = ["lead_s=0", "upright_1_s=0"]
+    assert load_mission(CUBE8, bare).control_gain == pytest.approx(0.2, rel=1e-6)
+    slower = load_mission(CUBE8, [*bare, "vehicles.3.profile=px4_quad"])
     assert slower.control_gain == pytest.approx(0.5 / (10 * 1.1), rel=1e-6)
     assert load_mission(CUBE8, ["gain=0.07"]).control_gain == 0.07
+    assert slower.control_gain < load_mission(CUBE8, ["vehicles.3.profile=px4_quad"]).control_gain < plan.control_gain
+    assert (plan.lead_s, plan.upright_1_s) == (0.2, 1.0)
+    assert load_mission(CUBE8, ["scale={kind: free}"]).upright_1_s == 0.0
 
 
 @pytest.mark.parametrize(

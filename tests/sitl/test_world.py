@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -191,7 +192,7 @@ def test_no_bytes_break_it(inputs: list[bytes | tuple[str, int, list[float]]]) -
             )
         else:
             names = ("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
-            fields = {"coordinate_frame": 1 + 7 * (item[1] % 2), "type_mask": item[1]}
+            fields: dict[str, Any] = {"coordinate_frame": 1 + 7 * (item[1] % 2), "type_mask": item[1]}
             fields.update(zip(names, item[2], strict=True))
             ground.send("SET_POSITION_TARGET_LOCAL_NED", target_system=1, **fields)
         ground.run(0.06)

@@ -189,3 +189,26 @@ def hovering(height_m: float = 4.0, **options: Any) -> Ground:
     ground.run_until(lambda: ground.height() > height_m - 0.3, 20.0, lambda: ground.velocity(vz=-1.0))
     ground.run(2.0)
     return ground
+
+
+GUIDED, APM_LAND = 4, 9
+
+
+def arducopter(**options: Any) -> WorldConfig:
+    """One ArduCopter without estimation noise, facing north."""
+    return world(autopilot="arducopter", streams="ardupilot", profile="arducopter", **options)
+
+
+def guided_at(height_m: float = 4.0, **options: Any) -> Ground:
+    """An ArduCopter hovering in GUIDED at a height, position and attitude streaming at 50 Hz."""
+    ground = Ground(arducopter(**options))
+    ground.run(2.5)
+    for name in ("LOCAL_POSITION_NED", "ATTITUDE", "EXTENDED_SYS_STATE"):
+        ground.interval(name, 50)
+    ground.run(0.04)
+    assert ground.ask(176, 1, GUIDED) == 0
+    assert ground.ask(400, 1) == 0
+    assert ground.ask(22, 0, 0, 0, 0, 0, 0, height_m) == 0
+    ground.run_until(lambda: ground.height() > height_m - 0.05, 20.0)
+    ground.run(2.0)
+    return ground

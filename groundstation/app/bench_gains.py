@@ -1,0 +1,244 @@
+"""``gs bench gains``: every method of gain design against the clock and against each other, in one run.
+
+The baseline is the formulation that the paper's authors used: one semidefinite program over the whole 3n x 3n matrix, as
+an all-purpose modelling layer states it, solved with SCS. One BLAS thread throughout, so that ratios travel.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cvxpy
+import numpy as np
+import scipy.linalg
+import scipy.spatial
+
+from groundstation.app.resources import packaged_configs
+from groundstation.core.formation import Formation
+from groundstation.core.types import FloatArray
+from groundstation.design.designer import DesignResult, design
+from groundstation.design.store import load_formation
+
+SMALL = (
+    "cube8",
+    "tetrahedron4",
+    "pyramid5",
+    "pyramid6",
+    "two_squares8_low",
+    "two_squares9",
+    "terraces12",
+    "ring12",
+    "rings16",
+)
+BARS_S = {
+    "nearest12_100": 1.5,
+    "nearest12_200": 10.0,
+    "nearest12_500": 120.0,
+    "nearly_complete_100": 0.2,
+    "nearly_complete_1000": 15.0,
+    "complete_1000": 0.1,
+}
+"""Seconds within which each of these is to be certified within 1 %."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One measured design.
+
+    Attributes:
+        case: family and size.
+        method: what was asked for.
+        n: agents.
+        edges: their number.
+        seconds: best of the repetitions.
+        gap: certified relative gap.
+        slowest: certified slowest mode, 1/s.
+    """
+
+    case: str
+    method: str
+    n: int
+    edges: int
+    seconds: float
+    gap: float
+    slowest: float
+
+
+def cloud(n: int, seed: int = 0) -> FloatArray:
+    """Agents spread evenly at random over a cube, one per cubic metre, shape (n, 3)."""
+    return np.random.default_rng(seed).uniform(size=(n, 3)) * n ** (1 / 3)
+
+
+def nearest(n: int, neighbours: int = 12, seed: int = 0) -> Formation:
+    """A cloud in which everyone sees its nearest neighbours, and they see back."""
+    points = cloud(n, seed)
+    _, near = scipy.spatial.cKDTree(points).query(points, neighbours + 1)
+    pairs = {(min(i, int(j)), max(i, int(j))) for i in range(n) for j in np.asarray(near)[i, 1:]}
+    return Formation(f"nearest{neighbours}_{n}", points, tuple(sorted(pairs)))
+
+
+def nearly_complete(n: int, missing: int = 50, seed: int = 0) -> Formation:
+    """A cloud in which everyone sees everyone, but for some pairs at random."""
+    i, j = np.triu_indices(n, 1)
+    lost = np.random.default_rng(seed + 1).choice(len(i), missing, replace=False)
+    keep = np.ones(len(i), dtype=np.bool_)
+    keep[lost] = False
+    pairs = tuple(zip(i[keep].tolist(), j[keep].tolist(), strict=True))
+    return Formation(f"nearly_complete_{n}", cloud(n, seed), pairs)
+
+
+def complete(n: int, seed: int = 0) -> Formation:
+    """A cloud in which everyone sees everyone."""
+    i, j = np.triu_indices(n, 1)
+    return Formation(f"complete_{n}", cloud(n, seed), tuple(zip(i.tolist(), j.tolist(), strict=True)))
+
+
+def authors_formulation(formation: Formation, *, solver: str = "SCS") -> float:
+    """Solves (11) over the whole 3n x 3n matrix, as published, with the spectral norm bounded by 10.
+
+    Args:
+        formation: points and graph.
+        solver: name of a cvxpy solver.
+
+    Returns:
+        The objective, 1/s: the slowest mode as the solver sees it.
+    """
+    n = formation.size
+    q = formation.points_enu_m
+    turned, flat = q @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), q * [1, 1, 0]
+    kernel = np.concatenate(
+        [np.stack([q.ravel(), turned.ravel(), flat.ravel()], axis=1), np.tile(np.eye(3), (n, 1))], 1
+    )
+    left, _, _ = scipy.linalg.svd(kernel)
+    complement = left[:, 6:]
+    horizontal, crossed, vertical = (cvxpy.Variable(len(formation.edges)) for _ in range(3))
+    shapes = (
+        np.diag([1.0, 1.0, 0.0]),
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+        np.diag([0.0, 0.0, 1.0]),
+    )
+    terms = []
+    for variable, shape in zip((horizontal, crossed, vertical), shapes, strict=True):
+        stack = np.zeros((len(formation.edges), 3 * n, 3 * n))
+        for k, (i, j) in enumerate(formation.edges):
+            stack[k, 3 * i : 3 * i + 3, 3 * j : 3 * j + 3] = shape
+            stack[k, 3 * j : 3 * j + 3, 3 * i : 3 * i + 3] = shape.T
+            stack[k, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = -shape
+            stack[k, 3 * j : 3 * j + 3, 3 * j : 3 * j + 3] = -shape.T
+        flat_stack = stack.reshape(len(stack), -1).T
+        terms.append(cvxpy.reshape(flat_stack @ variable, (3 * n, 3 * n), order="C"))
+    matrix = sum(terms[1:], terms[0])
+    reduced = complement.T @ matrix @ complement
+    reduced = (reduced + reduced.T) / 2
+    t = cvxpy.Variable()
+    unit = np.eye(3 * n - 6)
+    problem = cvxpy.Problem(
+        cvxpy.Minimize(t), [matrix @ kernel == 0, matrix == matrix.T, reduced << t * unit, reduced >> -10.0 * unit]
+    )
+    problem.solve(solver=solver)
+    return -float(problem.value)
+
+
+def measure(formation: Formation, method: str, *, gap: float | None, repeats: int) -> Timing:
+    """Designs a formation a few times and keeps the best time."""
+    best, result = np.inf, None
+    for _ in range(repeats):
+        start_ns = time.perf_counter_ns()
+        result = design(formation, method=method, gap=gap)
+        best = min(best, (time.perf_counter_ns() - start_ns) / 1e9)
+    return Timing(formation.name, method, formation.size, len(formation.edges), best, *_figures(result))
+
+
+def _figures(result: DesignResult | None) -> tuple[float, float]:
+    if result is None or result.certificate is None or not result.feasible:
+        return float("nan"), 0.0
+    return result.certificate.gap, -(result.certificate.lambda_max or 0.0)
+
+
+@dataclass(frozen=True)
+class Report:
+    """All measures of one run.
+
+    Attributes:
+        agreement: largest difference of a method from Clarabel on the small formations, 1/s.
+        baseline_s: the authors' formulation on two_squares8_low.
+        speedup: how many times faster the chosen method is there.
+        timings: every measured design.
+        within: per bar, whether it was kept.
+    """
+
+    agreement: float
+    baseline_s: float
+    speedup: float
+    timings: tuple[Timing, ...]
+    within: dict[str, bool]
+
+
+def run(*, largest: int, tell: Callable[[str], None]) -> Report:
+    """Runs the benchmark.
+
+    Args:
+        largest: sparse graphs up to this many agents; 500 takes minutes.
+        tell: told what is being measured.
+
+    Returns:
+        The report.
+    """
+    formations = packaged_configs() / "formations"
+    agreement = 0.0
+    timings: list[Timing] = []
+    for name in SMALL:
+        tell(f"all methods on {name}")
+        shape = load_formation(formations / f"{name}.yaml")
+        reference = measure(shape, "clarabel", gap=1e-6, repeats=1)
+        for method in ("interior-point", "splitting", "auto"):
+            found = measure(shape, method, gap=1e-5, repeats=1)
+            agreement = max(agreement, abs(found.slowest - reference.slowest))
+    tell("two_squares8_low against the authors' formulation")
+    shape = load_formation(formations / "two_squares8_low.yaml")
+    authors_formulation(shape)  # the first call pays for imports and caches
+    start_ns = time.perf_counter_ns()
+    authors_formulation(shape)
+    baseline_s = (time.perf_counter_ns() - start_ns) / 1e9
+    ours = measure(shape, "auto", gap=None, repeats=20)
+    timings.append(ours)
+    cases = [(nearest(n), "interior-point") for n in (16, 24, 50, 100, 200, 300, 500) if n <= largest]
+    cases += [(nearest(n), "splitting") for n in (16, 24, 50) if n <= largest]
+    cases += [(nearest(n, 6), "clarabel") for n in (8, 12, 16)]
+    cases += [(nearly_complete(n, min(50, n)), "splitting") for n in (16, 24, 50, 100, 200, 500, 1000)]
+    cases += [(complete(n), "closed-form") for n in (8, 16, 50, 100, 200, 500, 1000)]
+    for formation, method in cases:
+        tell(f"{method} on {formation.name}")
+        repeats = 3 if formation.size <= 100 or method == "closed-form" else 1
+        timings.append(measure(formation, method, gap=1e-2, repeats=repeats))
+    within = {
+        timing.case: timing.seconds <= BARS_S[timing.case] and timing.gap <= 1e-2
+        for timing in timings
+        if timing.case in BARS_S
+    }
+    return Report(agreement, baseline_s, baseline_s / ours.seconds, tuple(timings), within)
+
+
+def draw(path: Path, report: Report) -> None:
+    """Draws time over number of agents for each method and family."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to load, and only wanted with a picture
+
+    figure = Figure(figsize=(8, 5.5), layout="constrained")
+    plane = figure.add_subplot()
+    families: dict[str, list[Timing]] = {}
+    for timing in report.timings:
+        family = timing.case.rsplit("_", 1)[0].replace("_", " ")
+        if timing.method != "auto":
+            families.setdefault(f"{timing.method}, {family}", []).append(timing)
+    for marker, (label, rows) in zip("osD^vP", families.items(), strict=False):
+        plane.loglog([row.n for row in rows], [row.seconds for row in rows], marker=marker, label=label)
+    plane.loglog([8], [report.baseline_s], marker="x", linestyle="", color="#222222", label="authors' formulation, SCS")
+    plane.set_xlabel("agents")
+    plane.set_ylabel("time to a certified gap of 1 %, s")
+    plane.grid(visible=True, which="major", color="#d5d9de", linewidth=0.6)
+    plane.spines[["top", "right"]].set_visible(False)
+    plane.legend(frameon=False)
+    figure.savefig(path, dpi=140)

@@ -1,0 +1,58 @@
+"""Pictures of gain design: a suggested sensing graph with its trade-off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from groundstation.core.errors import UserError
+from groundstation.design.graphs import Suggestion
+
+_INK, _BLUE, _ORANGE, _GREY = "#22272e", "#0072B2", "#D55E00", "#8a929b"
+
+
+def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
+    """Draws the graph in space and slowest mode over number of edges.
+
+    Args:
+        path: picture to write; the ending chooses the kind.
+        suggestion: what to draw.
+
+    Raises:
+        UserError: the picture cannot be written.
+    """
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    space = figure.add_subplot(1, 2, 1, projection="3d")
+    points = suggestion.formation.points_enu_m
+    for i, j in suggestion.formation.edges:
+        space.plot(*points[[i, j]].T, color=_GREY, linewidth=1.2)
+    space.plot(*points.T, linestyle="", marker="o", color=_BLUE, markersize=8)
+    for agent, point in enumerate(points, start=1):
+        space.text(*(float(value) for value in point), f"  {agent}", color=_INK)
+    space.set_xlabel("x, m")
+    space.set_ylabel("y, m")
+    space.set_title(f"{suggestion.formation.name}: {len(suggestion.formation.edges)} edges")
+    plane = figure.add_subplot(1, 2, 2)
+    counts = np.array([len(row.edges) for row in suggestion.rows])
+    slowest = np.array([row.slowest for row in suggestion.rows])
+    plane.plot(counts, slowest, marker="o", color=_BLUE)
+    plane.plot(
+        len(suggestion.formation.edges), suggestion.slowest, marker="o", markersize=14, fillstyle="none", color=_ORANGE
+    )
+    plane.annotate(
+        "chosen",
+        (len(suggestion.formation.edges), suggestion.slowest),
+        xytext=(10, -14),
+        textcoords="offset points",
+        color=_ORANGE,
+    )
+    plane.set_xlabel("edges")
+    plane.set_ylabel("slowest mode, 1/s")
+    plane.set_ylim(bottom=0)
+    plane.spines[["top", "right"]].set_visible(False)
+    try:
+        figure.savefig(path, dpi=140)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be written ({error}); choose another --picture, .png or .svg") from error

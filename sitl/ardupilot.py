@@ -1,0 +1,485 @@
+"""ArduCopter's behaviour: modes, arming, GUIDED and its time-out, takeoff, landing, acknowledgements and words.
+
+Follows what ArduCopter 4.7.0-dev of mid 2025 was seen to do. Modes that need sticks hold the position in the air:
+nobody is there to move them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+from groundstation.mavlink.codec import Frame
+from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot, Setpoint
+from sitl.frames import is_place
+from sitl.params import ardupilot_params
+from sitl.protocol import (
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    MSG_REQUEST_DATA_STREAM,
+    MSG_SET_GPS_GLOBAL_ORIGIN,
+    MSG_SET_MODE,
+    MSG_SET_POSITION_TARGET_LOCAL_NED,
+)
+from sitl.wire import Fields, whole
+
+if TYPE_CHECKING:
+    from sitl.world import VehicleConfig, World
+
+STABILIZE, ACRO, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, CIRCLE = range(8)
+LAND, POSHOLD, BRAKE, GUIDED_NOGPS, SMART_RTL = 9, 16, 17, 20, 21
+NAMES = {
+    STABILIZE: "STABILIZE", ACRO: "ACRO", ALT_HOLD: "ALT_HOLD", AUTO: "AUTO", GUIDED: "GUIDED", LOITER: "LOITER",
+    RTL: "RTL", CIRCLE: "CIRCLE", LAND: "LAND", POSHOLD: "POSHOLD", BRAKE: "BRAKE", GUIDED_NOGPS: "GUIDED_NOGPS",
+    SMART_RTL: "SMART_RTL",
+}  # fmt: skip
+_NEED_POSITION = {AUTO, GUIDED, LOITER, RTL, CIRCLE, POSHOLD, BRAKE, SMART_RTL}
+_NOT_ARMABLE = {RTL, LAND, BRAKE, SMART_RTL, CIRCLE, AUTO}
+_GUIDED_FLAG = _NEED_POSITION
+
+CRITICAL, WARNING, INFO = 2, 4, 6
+_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x10000 | 0x200000
+_PREARM = 0x10000000
+_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
+_SPEED_SANE_M_S = 1000.0
+
+DATA_STREAMS: dict[int, tuple[str, ...]] = {
+    1: ("RAW_IMU", "SCALED_PRESSURE"),
+    2: ("SYS_STATUS", "MEMINFO", "POWER_STATUS", "MISSION_CURRENT", "GPS_RAW_INT", "NAV_CONTROLLER_OUTPUT"),
+    3: ("SERVO_OUTPUT_RAW", "RC_CHANNELS"),
+    6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
+    10: ("ATTITUDE",),
+    11: ("VFR_HUD",),
+    12: ("SYSTEM_TIME", "BATTERY_STATUS", "EKF_STATUS_REPORT", "VIBRATION"),
+}
+"""REQUEST_DATA_STREAM groups; 0 stands for all of them."""
+
+
+class ArduCopter(Autopilot):
+    """One vehicle under ArduCopter.
+
+    Attributes:
+        mode: flight mode number.
+        taking_off_to: height above home of a takeoff under way, None while there is none.
+    """
+
+    mav_autopilot = 3
+    param_bytewise = False
+    commands_to_system_0 = True
+    version_fields: ClassVar[Fields] = {
+        "capabilities": 0x2 | 0x4 | 0x8 | 0x80 | 0x100 | 0x800 | 0x1000 | 0x2000 | 0x20000,
+        "flight_sw_version": 0x04070000,
+        "board_version": 0,
+        "flight_custom_version": b"gs-sitl",
+    }
+
+    def __init__(self, world: World, index: int, config: VehicleConfig, boot: Boot) -> None:
+        super().__init__(world, index, config, ardupilot_params(config.sysid), boot)
+        self.mode = STABILIZE
+        self.taking_off_to: float | None = None
+        self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self._rtl_stage = 0
+        self._braked = False
+        self._entered: int | None = None
+        self._origin_told = False
+        self.messages.update(
+            {
+                MSG_SET_MODE: self._on_set_mode,
+                MSG_SET_POSITION_TARGET_LOCAL_NED: self._on_setpoint,
+                MSG_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
+                MSG_REQUEST_DATA_STREAM: self._on_data_stream,
+            }
+        )
+        self.commands.update(
+            {
+                20: lambda _p, _f: self._change_mode(RTL),
+                21: lambda _p, _f: self._change_mode(LAND),
+                22: self._takeoff_command,
+                176: self._mode_command,
+                178: self._speed_command,
+                192: self._reposition,
+                300: lambda _p, _f: self._change_mode(AUTO),
+                401: self._prearm_command,
+            }
+        )
+
+    # -- heartbeat ----------------------------------------------------------------------------------------------
+
+    def base_mode(self) -> int:
+        """MAV_MODE_FLAG bits of the heartbeat."""
+        flags = 0x1 | 0x10 | 0x40 | (0x80 if self.armed else 0)
+        return flags | 0x8 if self.mode in _GUIDED_FLAG else flags
+
+    def custom_mode(self) -> int:
+        """The mode number."""
+        return self.mode
+
+    def system_status(self) -> int:
+        """STANDBY on the ground, ACTIVE in the air."""
+        return 3 if self.landed else 4
+
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+        if self.landed:
+            return LANDED
+        if self.taking_off_to is not None:
+            return TAKING_OFF
+        return LANDING if self._landing() else IN_AIR
+
+    def sensor_bits(self) -> tuple[int, int, int]:
+        """SYS_STATUS sensors: present, enabled, healthy."""
+        present = _SENSORS | _PREARM
+        health = _SENSORS | (_PREARM if self.arm_refusal() is None else 0)
+        if not self.has_position:
+            health &= ~0x200000
+        return present, present, health
+
+    def started(self) -> None:
+        """Sends what comes out of a freshly booted board: bytes that are no MAVLink, then its banner."""
+        self.world.emit(self.index, b"\r\n\r\nInit ArduCopter V4.7.0-dev\r\n\r\nFree RAM: 131072\r\n")
+        self.banner()
+
+    def banner(self) -> None:
+        """Says who it is."""
+        self.text(INFO, "ArduCopter V4.7.0-dev (gs sitl)")
+        self.text(INFO, "Frame: QUAD/X")
+
+    def position_found(self) -> None:
+        """Tells about the origin and the sensors in use."""
+        super().position_found()
+        self.text(INFO, "EKF3 IMU0 is using GPS")
+
+    # -- arming -------------------------------------------------------------------------------------------------
+
+    def arm_refusal(self) -> str | None:
+        """Why arming would be refused."""
+        if self.deny_arming:
+            return "PreArm: Compass not healthy"
+        if self.age_ns < self.boot.ready_ns:
+            return (
+                "PreArm: EKF attitude is bad"
+                if self.age_ns < self.boot.ready_ns // 2
+                else "PreArm: AHRS: waiting for home"
+            )
+        if self.mode in _NOT_ARMABLE:
+            return f"Arm: {NAMES[self.mode]} mode not armable"
+        if self.mode in _NEED_POSITION and not self.position_good:
+            return "PreArm: Need Position Estimate"
+        if self.battery.percent() < self.params["ARMING_MIN_BATT"]:
+            return "PreArm: Battery 1 below minimum arming capacity"
+        return None
+
+    def try_arm(self, forced: bool) -> int:
+        """Arms on request."""
+        if self.armed:
+            return ACCEPTED
+        why = None if forced else self.arm_refusal()
+        if why is not None:
+            self.text(CRITICAL, why)
+            return FAILED
+        self.arm()
+        self.taking_off_to = None
+        self._entered = None
+        self.text(INFO, "Arming motors")
+        return ACCEPTED
+
+    def try_disarm(self, forced: bool) -> int:
+        """Disarms on request; in the air only by force."""
+        if not self.armed:
+            return ACCEPTED
+        if not forced and not self.landed:
+            return FAILED
+        self.disarm()
+        return ACCEPTED
+
+    def disarm(self) -> None:
+        """Stops the motors and says so."""
+        if self.armed:
+            self.text(INFO, "Disarming motors")
+        super().disarm()
+        self.taking_off_to = None
+
+    def _prearm_command(self, _params: tuple[float, ...], _frame: Frame) -> int:
+        why = self.arm_refusal()
+        if why is not None:
+            self.text(CRITICAL, why)
+        return ACCEPTED
+
+    # -- modes --------------------------------------------------------------------------------------------------
+
+    def _change_mode(self, mode: int) -> int:
+        if mode not in NAMES:
+            self.text(WARNING, f"No such mode {mode}")
+            return FAILED
+        if self.age_ns < self.boot.deaf_ns:
+            return ACCEPTED  # seen: acknowledged in the first seconds, and never in effect
+        if mode in _NEED_POSITION and not self.position_good:
+            self.text(WARNING, f"Mode change to {NAMES[mode]} failed: requires position")
+            return FAILED
+        if mode == AUTO and not self.mission:
+            self.text(WARNING, "Mode change to AUTO failed: init failed")
+            return FAILED
+        if mode != self.mode:
+            self._entered = None
+            self.taking_off_to = None
+            self.setpoint = None
+        self.mode = mode
+        return ACCEPTED
+
+    def _mode_command(self, params: tuple[float, ...], _frame: Frame) -> int:
+        if not whole(params[0]) & 1:
+            return DENIED
+        return self._change_mode(whole(params[1]))
+
+    def _on_set_mode(self, fields: Fields, frame: Frame) -> None:
+        result = self._change_mode(fields["custom_mode"]) if fields["base_mode"] & 1 else DENIED
+        self.ack(MSG_SET_MODE, result, frame)
+
+    def _takeoff_command(self, params: tuple[float, ...], _frame: Frame) -> int:
+        height = params[6]
+        if self.mode != GUIDED or not self.armed or not self.landed or not 0.0 < height <= 100_000.0:
+            return FAILED
+        self.taking_off_to = height
+        self._entered = None
+        return ACCEPTED
+
+    def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
+        if not params[1] > 0:
+            return FAILED
+        self.limit_speed(xy_m_s=params[1])
+        return ACCEPTED
+
+    def _reposition(self, params: tuple[float, ...], _frame: Frame) -> int:
+        lat, lon, alt = params[4:7]
+        if not is_place(lat, lon, alt) or self.landed:
+            return DENIED
+        if self._change_mode(GUIDED) != ACCEPTED:
+            return FAILED
+        x, y, z = self.world.geodesy.enu_from_geodetic(lat, lon, alt).tolist()
+        self._entered, self.taking_off_to = GUIDED, None
+        self.limit_speed()
+        self.setpoint = Setpoint(self.world.now_ns, (x, y, z), (None, None, None), None, None)
+        self._fly_setpoint()
+        return ACCEPTED
+
+    # -- setpoints ----------------------------------------------------------------------------------------------
+
+    def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
+        if self.mode != GUIDED or self.taking_off_to is not None:
+            return
+        frame, mask = fields["coordinate_frame"], fields["type_mask"]
+        if frame not in (_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET):
+            self._stop()
+            return
+        # any ignored axis ignores its whole triple
+        pos = None if mask & 0x7 else [fields[name] for name in ("x", "y", "z")]
+        vel = None if mask & 0x38 else [fields[name] for name in ("vx", "vy", "vz")]
+        if pos is None and vel is None:
+            self._stop()
+            return
+        numbers = (pos or []) + (vel or [])
+        if not all(map(math.isfinite, numbers)) or any(abs(v) > _SPEED_SANE_M_S for v in vel or ()):
+            self._stop()
+            return
+        # heading from north is pi/2 - yaw: its cosine is the sine of the heading from east
+        c, s = math.sin(self.yaw_enu()), math.cos(self.yaw_enu())
+        if frame in (_BODY, _BODY_OFFSET):
+            for triple in (pos, vel):
+                if triple is not None:
+                    triple[:2] = [c * triple[0] - s * triple[1], s * triple[0] + c * triple[1]]
+        target: tuple[float | None, float | None, float | None] = (None, None, None)
+        if pos is not None:
+            base = self.world.origin_enu_m[:, self.index].tolist() if frame == _LOCAL else self.pos_est()
+            target = (base[0] + pos[1], base[1] + pos[0], base[2] - pos[2])
+        speed: tuple[float | None, float | None, float | None] = (None, None, None)
+        if vel is not None:
+            speed = (vel[1], vel[0], -vel[2])
+        yaw = None if mask & 0x400 or not math.isfinite(fields["yaw"]) else math.pi / 2.0 - fields["yaw"]
+        rate = None if mask & 0x800 or not math.isfinite(fields["yaw_rate"]) else -fields["yaw_rate"]
+        self.setpoint = Setpoint(self.world.now_ns, target, speed, yaw, rate if yaw is None else None)
+        if self.armed and not self.landed:
+            self._entered = GUIDED
+            self._fly_setpoint()
+
+    def _fly_setpoint(self) -> None:
+        point = self.setpoint
+        if point is not None:
+            self._braked = False
+            self.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
+
+    def _stop(self) -> None:
+        """Brakes and holds, staying in GUIDED."""
+        self.setpoint = None
+        if self.armed and not self.landed:
+            self.command((None, None, None), (None, None, None))
+
+    def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
+        """Takes an origin only while there is none; bad values fail without a word."""
+        world, i = self.world, self.index
+        lat, lon, alt = fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
+        if world.has_origin[i] or not is_place(lat, lon, alt):
+            return
+        world.has_origin[i] = True
+        world.origin_enu_m[:, i] = world.geodesy.enu_from_geodetic(lat, lon, alt)
+        world.send_now(i, "GPS_GLOBAL_ORIGIN")
+
+    def _on_data_stream(self, fields: Fields, _frame: Frame) -> None:
+        """Sets a group of streams; there is no acknowledgement."""
+        wanted, rate = fields["req_stream_id"], fields["req_message_rate"]
+        interval_ns = round(SECOND / rate) if fields["start_stop"] and rate else 0
+        for group, names in DATA_STREAMS.items():
+            if wanted in (0, group):
+                for name in names:
+                    self.world.streams.set_interval(self.index, name, interval_ns, self.world.now_ns)
+
+    # -- flight -------------------------------------------------------------------------------------------------
+
+    def _landing(self) -> bool:
+        return self.mode == LAND or (self.mode in (RTL, SMART_RTL) and self._rtl_stage == 2)
+
+    def wants_up(self) -> bool:
+        """Only a takeoff lifts off: an upward velocity alone does not."""
+        return self.taking_off_to is not None or (self.mode == AUTO and bool(self.mission))
+
+    def wants_down(self) -> bool:
+        """Whether the present mode pushes towards the ground."""
+        point = self.setpoint
+        if self.mode == GUIDED and point is not None:
+            down, bottom = point.vel_enu_m_s[2], point.pos_enu_m[2]
+            return (down is not None and down < -0.05) or (bottom is not None and bottom < self.pos_est()[2] - 0.05)
+        return self._landing()
+
+    def touched_down(self) -> None:
+        """Disarms on landing."""
+        self.setpoint = None
+        if self._landing():
+            self.disarm()
+
+    def update(self, now_ns: int) -> None:
+        """Checks the failsafes, then lets the mode act."""
+        if not self._origin_told and self.world.has_origin[self.index]:
+            self._origin_told = True
+            self.text(INFO, "EKF3 IMU0 origin set")
+        if not self.armed:
+            return
+        self._check_failsafes(now_ns)
+        if self.landed:
+            delay_s = self.params["DISARM_DELAY"]
+            since = self.landed_ns if self.taken_off else self.armed_ns
+            if delay_s > 0 and now_ns - since >= delay_s * SECOND and not self.wants_up():
+                self.disarm()
+                return
+        if self.landed and not self.world.dynamics.flying[self.index]:
+            if self.wants_up() and now_ns - self.armed_ns >= SECOND:  # spool-up
+                self.set_flying(True)
+                self._entered = None
+            else:
+                return
+        self._act(now_ns)
+
+    def _check_failsafes(self, now_ns: int) -> None:
+        heard = self.gcs_heard_ns
+        if self.params["FS_GCS_ENABLE"] and heard is not None and not self.landed:
+            lost = now_ns - heard > self.params["FS_GCS_TIMEOUT"] * SECOND
+            if lost and self.mode not in (RTL, LAND):
+                self.text(WARNING, "GCS Failsafe - RTL")
+                self._change_mode(RTL)
+        if self.battery_low() and self.mode not in (RTL, LAND) and not self.landed:
+            self._change_mode(LAND if whole(self.params["BATT_FS_LOW_ACT"]) == 1 else RTL)
+
+    def battery_low(self) -> bool:
+        """Tells once about a low battery; True when something is to be done about it."""
+        low = self.battery.left * self.battery.capacity_mah < self.params["BATT_LOW_MAH"]
+        if low and not self._battery_told:
+            self._battery_told = True
+            self.text(WARNING, "Battery 1 is low")
+        return low and whole(self.params["BATT_FS_LOW_ACT"]) > 0
+
+    def _act(self, now_ns: int) -> None:
+        entering = self._entered != self.mode
+        self._entered = self.mode
+        if self.mode == GUIDED:
+            self._act_guided(entering, now_ns)
+        elif self.mode == LAND:
+            self._act_land(entering)
+        elif self.mode in (RTL, SMART_RTL):
+            self._act_rtl(entering)
+        elif self.mode == AUTO:
+            self.flight.act(entering)
+        elif entering:
+            self._hold = self.pos_est()
+            self.limit_speed()
+            self.command(self._hold, (None, None, None))
+
+    def _act_guided(self, entering: bool, now_ns: int) -> None:
+        x, y, z = self.pos_est()
+        if self.taking_off_to is not None:
+            top = float(self.world.home_enu_m[2, self.index]) + self.taking_off_to
+            if entering:
+                self._hold = (x, y, top)
+                self.limit_speed(up=self.params["WPNAV_SPEED_UP"] / 100.0)
+                self.command(self._hold, (None, None, None))
+            if not self.landed and z > top - 0.1:
+                self.taking_off_to = None
+            return
+        if entering:
+            self._hold = (x, y, z)
+            self.limit_speed()
+            if self.setpoint is None:
+                self.command(self._hold, (None, None, None))
+        point = self.setpoint
+        if point is None or point.pos_enu_m[0] is not None or self._braked:
+            return
+        if now_ns - point.t_ns > self.params["GUID_TIMEOUT"] * SECOND:
+            self._braked = True  # the last velocity has been kept until now; brakes and hovers, no word of it
+            self.command((None, None, None), (None, None, None))
+
+    def _act_land(self, entering: bool) -> None:
+        x, y, z = self.pos_est()
+        if entering:
+            self._hold = (x, y, z)
+            self.limit_speed()
+        height = z - float(self.world.home_enu_m[2, self.index])
+        fast = self.params["LAND_SPEED_HIGH"] or self.params["WPNAV_SPEED_DN"]
+        speed = (fast if height > self.params["LAND_ALT_LOW"] / 100.0 else self.params["LAND_SPEED"]) / 100.0
+        speed = min(speed, self.world.profile_of(self.index).speed_down_max_m_s)
+        self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
+
+    def _act_rtl(self, entering: bool) -> None:
+        x, y, z = self.pos_est()
+        home = self.world.home_enu_m[:, self.index].tolist()
+        far = math.hypot(x - home[0], y - home[1])
+        if entering:
+            self._rtl_stage = 0
+            top = max(z, home[2] + self.params["RTL_ALT"] / 100.0) if far > 1.0 else z
+            self._hold = (x, y, top)
+            self.limit_speed()
+        if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
+            self._rtl_stage, self._hold = 1, (home[0], home[1], self._hold[2])
+        if self._rtl_stage == 1 and far < 0.5:
+            self._rtl_stage, self._hold = 2, (home[0], home[1], z)
+        if self._rtl_stage == 2:
+            self._act_land(False)
+        else:
+            self.command(self._hold, (None, None, None))
+
+    first_item_is_home = True
+
+    def mission_lands(self) -> None:
+        """Lands where the mission has led; shown as LAND."""
+        self._change_mode(LAND)
+
+    def mission_returns(self) -> None:
+        """Returns and lands."""
+        self._change_mode(RTL)
+
+    def unknown_param(self, name: str) -> None:
+        """ArduPilot says nothing."""
+
+    def _on_heartbeat(self, fields: Fields, frame: Frame) -> None:
+        """Only the ground station of MAV_GCS_SYSID counts."""
+        if frame.sysid == whole(self.params["MAV_GCS_SYSID"]):
+            super()._on_heartbeat(fields, frame)
+
+    _battery_told = False

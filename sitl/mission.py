@@ -1,0 +1,85 @@
+"""Flies stored missions: takeoff, waypoints with a waiting time, land, return; other items are passed over.
+
+Refuses to know modes: what an autopilot does when a mission asks to land, to return, or is over, it does itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from sitl.frames import is_place
+from sitl.wire import Fields
+
+if TYPE_CHECKING:
+    from sitl.autopilot import Autopilot
+
+WAYPOINT, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 19, 20, 21, 22
+_GLOBAL_AMSL = (0, 5)
+_REACHED_M = 0.5
+
+Point = tuple[float, float, float]
+
+
+class MissionFlight:
+    """Progress of one vehicle through its mission; the item under way is ``pilot.mission_seq``."""
+
+    def __init__(self, pilot: Autopilot) -> None:
+        self._pilot = pilot
+        self._target: Point | None = None
+        self._reached_ns: int | None = None
+
+    def act(self, entering: bool) -> None:
+        """Moves on; called every tick while the mission mode acts."""
+        pilot = self._pilot
+        if entering:
+            self._target = None
+            pilot.limit_speed()
+        if pilot.mission_seq >= len(pilot.mission):
+            pilot.mission_over()
+            return
+        item = pilot.mission[pilot.mission_seq]
+        command = int(item["command"])
+        if pilot.mission_seq == 0 and pilot.first_item_is_home:
+            self._next()
+        elif command in (WAYPOINT, LOITER_TIME, TAKEOFF):
+            self._fly(item)
+        elif command == LAND:
+            pilot.mission_lands()
+        elif command == RETURN:
+            pilot.mission_returns()
+        else:
+            self._next()
+
+    def _fly(self, item: Fields) -> None:
+        pilot = self._pilot
+        now_ns = pilot.world.now_ns
+        if self._target is None:
+            self._target, self._reached_ns = self._place(item), None
+            pilot.command(self._target, (None, None, None))
+            pilot.send("MISSION_CURRENT", seq=pilot.mission_seq, total=len(pilot.mission))
+        if math.dist(self._target, pilot.pos_est()) > _REACHED_M:
+            return
+        if self._reached_ns is None:
+            self._reached_ns = now_ns
+            pilot.send("MISSION_ITEM_REACHED", seq=pilot.mission_seq)
+        wait_s = item["param1"] if item["command"] in (WAYPOINT, LOITER_TIME) else 0.0
+        if now_ns - self._reached_ns >= (wait_s if math.isfinite(wait_s) else 0.0) * 1e9:
+            self._next()
+
+    def _next(self) -> None:
+        self._pilot.mission_seq += 1
+        self._target = None
+
+    def _place(self, item: Fields) -> Point:
+        """Where an item is, ENU; without a place of its own it is above or below here."""
+        pilot = self._pilot
+        world = pilot.world
+        x, y, _ = pilot.pos_est()
+        lat, lon = item["x"] * 1e-7, item["y"] * 1e-7
+        if is_place(lat, lon, 0.0) and (item["x"], item["y"]) != (0, 0):
+            x, y, _ = world.geodesy.enu_from_geodetic(lat, lon, world.config.home_alt_m).tolist()
+        height = item["z"] if is_place(0.0, 0.0, item["z"]) else 0.0
+        if item["frame"] in _GLOBAL_AMSL:
+            return x, y, height - world.config.home_alt_m
+        return x, y, float(world.home_enu_m[2, pilot.index]) + height
