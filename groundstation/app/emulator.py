@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from threading import Event, Thread
 from urllib.parse import urlsplit
 
@@ -17,30 +18,48 @@ from groundstation.core.errors import UserError
 from groundstation.core.metrics import formation_error_m
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
+from sitl.estimator import GPS, MOCAP
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 
+_STREAMS = {"px4": "onboard", "arducopter": "ardupilot"}
 
-def world_config(plan: MissionPlan) -> WorldConfig:
-    """The mission's vehicles on the mission's pads.
+
+def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
+    """The mission's vehicles on the mission's pads, with the positions that the mission says they have.
+
+    Args:
+        plan: the mission.
+        headings: seed of the directions in which the vehicles stand; None for all facing east.
 
     Raises:
         UserError: the mission asks for what the emulator does not do.
     """
     for number, vehicle in enumerate(plan.spec.vehicles):
-        if vehicle.origin != "pad":
+        if vehicle.origin in ("team", "declared"):
             raise UserError(
                 f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: emulated vehicles start their local frame"
                 f" where they stand; for a dry run add --set vehicles.{number}.origin=pad"
             )
-    return WorldConfig(
+    yaws = np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
+    config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(
-                sysid=vehicle.id, autopilot=vehicle.autopilot, profile=vehicle.profile, pad_enu_m=vehicle.pad_m
+                sysid=vehicle.id,
+                autopilot=vehicle.autopilot,
+                profile=vehicle.profile,
+                pad_enu_m=vehicle.pad_m,
+                yaw_enu_rad=float(yaw),
+                noise=GPS if plan.positioning == "gps" else MOCAP,
+                streams=_STREAMS[vehicle.autopilot],
             )
-            for vehicle in plan.spec.vehicles
+            for vehicle, yaw in zip(plan.spec.vehicles, yaws, strict=True)
         )
     )
+    anchor = plan.spec.anchor
+    if anchor is not None:
+        config = replace(config, home_lat_deg=anchor.lat_deg, home_lon_deg=anchor.lon_deg, home_alt_m=anchor.alt_m)
+    return config
 
 
 @contextmanager
@@ -57,7 +76,7 @@ def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
             f"{plan.source}: vehicles: ports {ports}: --udp emulates one port for all vehicles, or consecutive ports"
         )
     stop = Event()
-    with Server(world_config(plan), seed, port=ports[0], port_per_vehicle=not shared) as server:
+    with Server(world_config(plan, seed), seed, port=ports[0], port_per_vehicle=not shared) as server:
         thread = Thread(target=server.run, args=(stop,), name="emulator", daemon=True)
         thread.start()
         try:

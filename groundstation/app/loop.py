@@ -100,7 +100,9 @@ def fly_virtual(
         if not interrupts.apply(session, now_ns):
             return
         for datagram in session.tick(now_ns):
-            world.receive(vehicle_of_peer[datagram.peer], b"".join(datagram.frames), now_ns)
+            vehicle = vehicle_of_peer.get(datagram.peer)
+            if vehicle is not None:  # a greeting to an address of the real world reaches nobody
+                world.receive(vehicle, b"".join(datagram.frames), now_ns)
         for watch in watchers:
             watch(session, now_ns)
 

@@ -47,16 +47,19 @@ class Autopilot(ABC):
         """Command that sets the rate of a stream; at most that often, as the vehicle's clock divides."""
         interval_us = round(1e6 / rate_hz)
         return Command(
-            f"{rate_hz:g} Hz of {message}", CMD_SET_MESSAGE_INTERVAL, (float(message_id(message)), float(interval_us))
+            f"{rate_hz:.3g} Hz of {message}",
+            CMD_SET_MESSAGE_INTERVAL,
+            (float(message_id(message)), float(interval_us)),
+            asks=True,
         )
 
     def silence(self, message: str) -> Command:
         """Command that stops a stream."""
-        return Command(f"no {message}", CMD_SET_MESSAGE_INTERVAL, (float(message_id(message)), -1.0))
+        return Command(f"no {message}", CMD_SET_MESSAGE_INTERVAL, (float(message_id(message)), -1.0), asks=True)
 
     def once(self, message: str) -> Command:
         """Command that asks for one message now."""
-        return Command(f"one {message}", CMD_REQUEST_MESSAGE, (float(message_id(message)),))
+        return Command(f"one {message}", CMD_REQUEST_MESSAGE, (float(message_id(message)),), asks=True)
 
     def takeoff(self, height_m: float) -> Command | None:
         """Command that climbs to a height above where it stands, None where velocity setpoints do it.

@@ -30,11 +30,15 @@ _REPETITIONS = 3
 
 @dataclass(frozen=True)
 class Command:
-    """A COMMAND_LONG: ``command`` is a MAV_CMD, ``params`` its seven parameters, ``name`` what people call it."""
+    """A COMMAND_LONG: ``command`` is a MAV_CMD, ``params`` its seven parameters, ``name`` what people call it.
+
+    ``asks`` marks one that only asks for messages: a refusal is no reason why something does not fly.
+    """
 
     name: str
     command: int
     params: tuple[float, ...] = ()
+    asks: bool = False
 
     def padded(self) -> tuple[float, ...]:
         """All seven parameters."""

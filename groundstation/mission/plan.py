@@ -147,20 +147,24 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     for override in overrides:
         _override(values, override)
     spec = validate(MissionSpec, values, str(path))
-    formation = load_formation(_relative(path, spec.formation, "formation"))
+    formation_path = _relative(path, spec.formation, "formation")
+    formation = as_in_file = load_formation(formation_path)
+    if spec.formation_scale is not None:
+        factor = spec.formation_scale / validate(FormationFile, read_yaml(formation_path), str(formation_path)).scale
+        formation = replace(as_in_file, points_enu_m=factor * as_in_file.points_enu_m)
     if spec.gains is not None:
         gains_path = _relative(path, spec.gains, "gains")
         stored = load_gains(gains_path)
-        check_gains(stored, formation)
+        check_gains(stored, as_in_file)  # gains belong to a shape, whatever its size
         return build_plan(spec, formation, stored.gains, gains_path.read_bytes(), str(path))
     from groundstation.design.designer import design  # noqa: PLC0415 - loads solvers that most missions do without
 
-    result = design(formation)
+    result = design(as_in_file)
     if result.gains is None or result.certificate is None:
         raise UserError(f"{path}: formation: {spec.formation}: no gains exist: {result.reason}")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "gains.npz"
-        save_gains(file, formation, result.gains, result.certificate, result.method)
+        save_gains(file, as_in_file, result.gains, result.certificate, result.method)
         return build_plan(spec, formation, result.gains, file.read_bytes(), str(path))
 
 
@@ -180,7 +184,11 @@ def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) 
         file = Path(folder) / "gains.npz"
         file.write_bytes(gains_npz)
         stored = load_gains(file)
-        check_gains(stored, formation)
+    size, stored_size = (float(np.abs(points).max()) for points in (formation.points_enu_m, stored.points_enu_m))
+    same_size = formation
+    if spec.formation_scale is not None and size > 0.0:
+        same_size = replace(formation, points_enu_m=formation.points_enu_m * (stored_size / size))
+    check_gains(stored, same_size)
     return build_plan(spec, formation, stored.gains, gains_npz, source)
 
 

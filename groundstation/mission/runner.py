@@ -505,7 +505,7 @@ class Runner:
         """Takes the vehicles' words and answers."""
         for outcome in self._station.commands.take_outcomes():
             self._arming.heard(outcome)
-            if not outcome.accepted:
+            if not outcome.accepted and not outcome.command.asks:
                 self._refusals[outcome.vehicle] = outcome.words()
                 self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
         for text in self.fleet.take_texts():

@@ -128,6 +128,7 @@ class MissionSpec(_Strict):
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
     formation: str
+    formation_scale: Positive | None = None
     gains: str | None = None
     rate_hz: Annotated[float, Field(ge=10, le=200)] = 50.0
     speed_limit_m_s: Positive = 0.5

@@ -11,8 +11,9 @@ from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Note, Phase, Runner
+from groundstation.records.manifest import Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
-from sitl.world import Outgoing, World
+from sitl.world import Outgoing, World, WorldConfig
 
 SECOND_NS = 1_000_000_000
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
@@ -32,9 +33,14 @@ class Flight:
         interrupt_when: Callable[[Flight], bool] | None = None,
         log: Path | None = None,
         limit_s: float = 200.0,
+        change: Callable[[WorldConfig], WorldConfig] | None = None,
+        prepare: Callable[[World], None] | None = None,
     ) -> None:
         self.plan = plan
-        self.world = World(world_config(plan), seed)
+        config = world_config(plan, seed)
+        self.world = World(config if change is None else change(config), seed)
+        if prepare is not None:
+            prepare(self.world)
         self.runner = Runner(plan, 0)
         self.notes: list[Note] = []
         self.now_ns = 0
@@ -50,12 +56,19 @@ class Flight:
         fly_virtual(
             self.session,
             self,
-            period_ns=20_000_000,
+            period_ns=round(SECOND_NS / plan.spec.rate_hz),
             watchers=(self._watch, self.meter),
             interrupts=self._interrupts,
         )
-        if writer is not None:
+        if writer is not None and log is not None:
             writer.close()
+            write_manifest(manifest_path(log), self._manifest())
+
+    def _manifest(self) -> Manifest:
+        manifest = Manifest(
+            mission=self.plan.record(), epoch_unix_us=0, versions={}, seed=1, dry_run=True, gains_npz=self.plan.gains_npz
+        )
+        return manifest.finished({"outcome": self.runner.outcome})
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """The emulator's side of the loop, with the network's mischief."""
@@ -86,3 +99,19 @@ class Flight:
 def cube8(*changes: str) -> MissionPlan:
     """The packaged cube8 mission, changed."""
     return load_mission(CUBE8, changes)
+
+
+def mission(name: str, *changes: str) -> MissionPlan:
+    """One of the packaged missions, changed."""
+    return load_mission(packaged_configs() / "missions" / f"{name}.yaml", changes)
+
+
+def pair(*changes: str, autopilots: tuple[str, str] = ("px4", "arducopter")) -> MissionPlan:
+    """The first flight, of two vehicles, under these autopilots."""
+    profiles = {"px4": "px4_quad", "arducopter": "arducopter"}
+    kinds = [
+        f"vehicles.{number}.{key}={value}"
+        for number, autopilot in enumerate(autopilots)
+        for key, value in (("autopilot", autopilot), ("profile", profiles[autopilot]))
+    ]
+    return mission("first_flight2", *kinds, "steps.1.hold.seconds=2", *changes)

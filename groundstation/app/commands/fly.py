@@ -143,7 +143,7 @@ def _log_path(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: in
 
 def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realtime: bool) -> dict[str, Any]:
     """Flies the emulator in virtual time."""
-    world = World(world_config(plan), seed)
+    world = World(world_config(plan, seed), seed)
     meter = TruthMeter(world)
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
     with _recording(log_path, manifest, plan) as log:
