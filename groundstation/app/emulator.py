@@ -41,7 +41,9 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: emulated vehicles start their local frame"
                 f" where they stand; for a dry run add --set vehicles.{number}.origin=pad"
             )
-    yaws = np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
+    yaws = (
+        np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
+    )
     config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(

@@ -21,6 +21,7 @@ _KEPT_NS = 60_000_000_000
 _KEPT_SAMPLES = 32
 _DRIFT = 50e-6  # crystals differ by this much at most: an old sample is worth that much less
 _OUTSTANDING = 64
+_JUMP_NS = 20_000_000  # beyond what the round trips allow: the clock was set, or belongs to a new start
 _BACK_MS = 1_000  # reordering on a link is quicker than this
 _BACK_AGAIN = 3  # so many messages in a row with the earlier time: the vehicle has started anew
 _FLIPS, _FLIPS_NS = 4, 5_000_000_000
@@ -58,13 +59,21 @@ class Clocks:
         """Remembers a question that was sent; answers to anybody else's do not count."""
         self._asked[vehicle].append(ts1_ns)
 
-    def answered(self, vehicle: int, tc1_ns: int, ts1_ns: int, t_rx_ns: int) -> None:
-        """Takes an answer."""
+    def answered(self, vehicle: int, tc1_ns: int, ts1_ns: int, t_rx_ns: int) -> bool:
+        """Takes an answer; returns whether the vehicle's clock has run back: it has started anew."""
         if ts1_ns not in self._asked[vehicle] or t_rx_ns < ts1_ns:
-            return
-        self._asked[vehicle].remove(ts1_ns)
+            return False
         late = self._late[vehicle]
-        late.append(_Sample(t_rx_ns, tc1_ns - (ts1_ns + t_rx_ns) // 2, t_rx_ns - ts1_ns))
+        sample = _Sample(t_rx_ns, tc1_ns - (ts1_ns + t_rx_ns) // 2, t_rx_ns - ts1_ns)
+        if late:
+            best = min(late, key=lambda item: item.uncertainty_ns(t_rx_ns))
+            jump_ns = sample.offset_ns - best.offset_ns
+            if abs(jump_ns) > sample.round_trip_ns / 2 + best.uncertainty_ns(t_rx_ns) + _JUMP_NS:
+                self.forget(vehicle)
+                if jump_ns < -_BACK_MS * 1_000_000:
+                    return True
+        self._asked[vehicle] = deque((t for t in self._asked[vehicle] if t != ts1_ns), maxlen=_OUTSTANDING)
+        late.append(sample)
         while late[0].t_ns < t_rx_ns - _KEPT_NS:
             late.popleft()
         best = min(late, key=lambda sample: sample.uncertainty_ns(t_rx_ns))
@@ -72,6 +81,7 @@ class Clocks:
         self.round_trip_s[vehicle] = best.round_trip_ns / 1e9
         self.samples[vehicle] += 1
         self.known[vehicle] = True
+        return False
 
     def forget(self, vehicle: int) -> None:
         """The vehicle has started anew: its clock too."""

@@ -37,6 +37,7 @@ _QUATERNION_OLD_NS = 500_000_000  # only then is the attitude taken from Euler a
 _ORIGIN_SAME_M = 0.05
 _ORIGINS_NS = 10_000_000_000
 _ELSEWHERE_MAX = 2_000
+_TEXT_BYTES, _PIECES_MAX = 50, 10
 _METRES_PER_DEGREE = 111_320.0
 COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "ATTITUDE")
 """Message types whose rate is looked after."""
@@ -154,6 +155,7 @@ class Fleet:
         self._peer_ns = _times(n)
         self._quaternion_ns = _times(n)
         self._position_times, self._place_times, self._attitude_times = BootTimes(n), BootTimes(n), BootTimes(n)
+        self._pieces: dict[int, tuple[int, dict[int, bytes]]] = {}
         self._rivals: list[tuple[str, int] | None] = [None] * n
         self._elsewhere: dict[tuple[int, int], int] = {}
 
@@ -363,16 +365,26 @@ class Fleet:
             self._acks.append(Ack(int(vehicle), int(values["command"]), int(values["result"]), int(t)))
 
     def _statustext(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
-        for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
-            text = bytes(values["text"]).decode("utf-8", "replace").rstrip("\t\n ")
-            self._texts.append(Text(int(vehicle), int(values["severity"]), text, int(t)))
+        for values, vehicle, t in zip(batch.values, row.tolist(), t_ns.tolist(), strict=True):
+            data, number = bytes(values["text"]), int(values["id"])
+            if number:  # a long text comes in pieces, the last of which is not full
+                pieces = self._pieces.setdefault(vehicle, (number, {}))
+                if pieces[0] != number:
+                    pieces = self._pieces[vehicle] = (number, {})
+                pieces[1][int(values["chunk_seq"])] = data
+                if len(data) == _TEXT_BYTES and len(pieces[1]) < _PIECES_MAX:
+                    continue
+                data = b"".join(piece for _, piece in sorted(pieces[1].items()))
+                del self._pieces[vehicle]
+            words = data.decode("utf-8", "replace").rstrip("\t\n ")
+            self._texts.append(Text(vehicle, int(values["severity"]), words, t))
 
     def _timesync_message(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
             if int(values["tc1"]) == 0:
                 self._timesync.append(TimesyncRequest(int(vehicle), int(values["ts1"]), int(t)))
-            else:
-                self.clocks.answered(int(vehicle), int(values["tc1"]), int(values["ts1"]), int(t))
+            elif self.clocks.answered(int(vehicle), int(values["tc1"]), int(values["ts1"]), int(t)):
+                self._start_anew(int(vehicle))
 
 
 _HANDLERS = {

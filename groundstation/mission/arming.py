@@ -36,13 +36,13 @@ class Arming:
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._armed_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._reluctant: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._said_yes: dict[int, str] = {}
+        self._said_yes: dict[int, set[str]] = {}
         self._restarts = fleet.restarts.copy()
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""
         if outcome.accepted:
-            self._said_yes[outcome.vehicle] = outcome.command.name
+            self._said_yes.setdefault(outcome.vehicle, set()).add(outcome.command.name)
         elif outcome.command == self._plan.autopilots[outcome.vehicle].arm():
             self._reluctant[outcome.vehicle] = True
 
@@ -90,12 +90,16 @@ class Arming:
     def why_not(self, waited_s: float, said: Mapping[int, str]) -> str:
         """Words for an attempt that took too long: who, in what state, and what it said."""
         fleet, reasons = self._fleet, []
-        for vehicle in np.flatnonzero(~(self.in_mode() & fleet.armed) & (self._reluctant | ~self._reluctant.any())):
-            mode = self._plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
-            yes = self._said_yes.get(int(vehicle))
-            silence = f"it acknowledged {yes} and did not do it" if yes else "the autopilot gave no reason"
+        in_mode = self.in_mode()
+        late = ~in_mode if not in_mode.all() else ~fleet.armed & (self._reluctant | (not self._reluctant.any()))
+        for vehicle in np.flatnonzero(late).tolist():
+            autopilot = self._plan.autopilots[vehicle]
+            mode = autopilot.mode_name(int(fleet.custom_mode[vehicle]))
+            missing = (autopilot.arm() if in_mode[vehicle] else autopilot.streaming_mode()).name
+            yes = missing in self._said_yes.get(vehicle, ())
+            silence = f"it acknowledged {missing} and did not do it" if yes else "the autopilot gave no reason"
             reasons.append(
                 f"vehicle {fleet.sysid[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
-                f" after {waited_s:g} s: {said.get(int(vehicle), silence)}"
+                f" after {waited_s:g} s: {said.get(vehicle, silence)}"
             )
         return "; ".join(reasons)

@@ -78,8 +78,8 @@ class Guide:
         self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
-        # Where a vehicle would come to rest obeys p' = u, as far as the lag is what it is taken for (a quarter of what is
-        # made up for is not trusted, as in `auto_control_gain`): a point is approached that much faster.
+        # Where a vehicle would come to rest obeys p' = u, as far as the lag is what it is taken for (a quarter of what
+        # is made up for is not trusted, as in `auto_control_gain`): a point is approached that much faster.
         self._target_rate_1_s = 0.25 / (profile.lag_s - 0.75 * min(plan.lead_s, profile.lag_s) + profile.delay_s)
         self._stopping_s = profile.lag_s + profile.delay_s
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
@@ -109,9 +109,7 @@ class Guide:
         views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
-        wish = self._target_rate_1_s * frames.rotate_back(
-            frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned
-        )
+        wish = self._target_rate_1_s * frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned)
         return self._finish(poses, views, wish, self._fence)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:

@@ -9,6 +9,7 @@ arming it ends at once, with nothing armed.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
@@ -35,6 +36,7 @@ _SECOND_NS = 1_000_000_000
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
 _STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
 _DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
+_WORDS_KEPT = 3  # of each vehicle's own words, for reasons
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
 _LAND_SPARE_S = 60.0  # beyond the mission's own limit, before a vehicle that stays armed is left to its pilot
 _TAKEOFF_TOLERANCE_M = 0.1
@@ -154,7 +156,8 @@ class Runner:
         self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
-        self._refusals: dict[int, str] = {}
+        self._refused: dict[int, str] = {}
+        self._words: dict[int, deque[str]] = {}
         self._abort_requested = False
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._gather_ned_m: FloatArray = self._pads_ned_m.copy()
@@ -270,7 +273,7 @@ class Runner:
 
     def _connect(self, now_ns: int) -> None:
         plan = self.plan
-        state = self._preflight.step(now_ns, self._refusals)
+        state = self._preflight.step(now_ns, self._said())
         for note in state.notes:
             self._note("info", note)
         self.problems = state.fatal + state.waiting
@@ -288,7 +291,8 @@ class Runner:
                 self._frame.settle(self.fleet, now_ns)
                 self._monitor.begin(self.fleet)
                 self._yaw_ned_rad = frames.yaw_ned_from_quat(self.fleet.quat_ned_from_frd)
-                self._refusals.clear()
+                self._refused.clear()
+                self._words.clear()
                 self._arming = Arming(plan, self.fleet, self._station.commands)
                 self._enter(Phase.ARM, now_ns)
 
@@ -296,15 +300,20 @@ class Runner:
         if now_ns - self._phase_ns < _STREAM_FIRST_NS:
             return
         limit_s = self.plan.spec.limits.arming_s
-        restarted = self._arming.started_anew()
-        if restarted is not None:
-            self._give_up(restarted, now_ns)
+        lost_ns = self.plan.spec.limits.pose_lost_s * _SECOND_NS
+        blind = np.flatnonzero(now_ns - self._frame.pose_ns(self.fleet) > lost_ns)
+        problem = self._arming.started_anew()
+        if problem is None and len(blind):
+            name = f"vehicle {self.fleet.sysid[blind[0]]}"
+            problem = f"{name}: no position for {lost_ns / _SECOND_NS:g} s while the team was arming"
+        if problem is not None:
+            self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
             self._assign(poses)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limit_s * _SECOND_NS:
-            self._give_up(self._arming.why_not(limit_s, self._refusals), now_ns)
+            self._give_up(self._arming.why_not(limit_s, self._said()), now_ns)
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
@@ -318,9 +327,10 @@ class Runner:
         else:
             self._steady_since_ns = NEVER
             if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
+                said = self._said()
                 late = ", ".join(
                     f"vehicle {self.fleet.sysid[i]} is {offset[i]:.2f} m from its place"
-                    + (f": {self._refusals[i]}" if i in self._refusals else "")
+                    + (f": {said[i]}" if i in said else "")
                     for i in np.argsort(-offset)[:3].tolist()
                 )
                 self._give_up(f"takeoff not finished after {self.plan.spec.takeoff.timeout_s:g} s: {late}", now_ns)
@@ -506,14 +516,22 @@ class Runner:
         for outcome in self._station.commands.take_outcomes():
             self._arming.heard(outcome)
             if not outcome.accepted and not outcome.command.asks:
-                self._refusals[outcome.vehicle] = outcome.words()
+                self._refused[outcome.vehicle] = outcome.words()
                 self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
         for text in self.fleet.take_texts():
             sysid = self.fleet.sysid[text.vehicle]
             self._note("info", f"vehicle {sysid} says: {text.text}")
             if text.severity <= 4:
-                said = self._refusals.get(text.vehicle)
-                self._refusals[text.vehicle] = f"{said}, it says: {text.text}" if said else f"it says: {text.text}"
+                words = self._words.setdefault(text.vehicle, deque(maxlen=_WORDS_KEPT))
+                if text.text not in words:
+                    words.append(text.text)
+
+    def _said(self) -> dict[int, str]:
+        """What each vehicle refused and said of late."""
+        said = {vehicle: [words] for vehicle, words in self._refused.items()}
+        for vehicle, texts in self._words.items():
+            said.setdefault(vehicle, []).extend(f"it says: {text}" for text in texts)
+        return {vehicle: ", ".join(parts) for vehicle, parts in said.items()}
 
     def _measure(self, poses: Poses) -> None:
         distance = min_distance_m(poses.pos_team_ned_m, self.airborne)

@@ -66,7 +66,12 @@ class Flight:
 
     def _manifest(self) -> Manifest:
         manifest = Manifest(
-            mission=self.plan.record(), epoch_unix_us=0, versions={}, seed=1, dry_run=True, gains_npz=self.plan.gains_npz
+            mission=self.plan.record(),
+            epoch_unix_us=0,
+            versions={},
+            seed=1,
+            dry_run=True,
+            gains_npz=self.plan.gains_npz,
         )
         return manifest.finished({"outcome": self.runner.outcome})
 
