@@ -100,7 +100,8 @@ def fly_virtual(
         if not interrupts.apply(session, now_ns):
             return
         for datagram in session.tick(now_ns):
-            world.receive(vehicle_of_peer[datagram.peer], b"".join(datagram.frames), now_ns)
+            if datagram.peer in vehicle_of_peer:
+                world.receive(vehicle_of_peer[datagram.peer], b"".join(datagram.frames), now_ns)
         for watch in watchers:
             watch(session, now_ns)
 

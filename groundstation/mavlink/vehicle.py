@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.codec import Batch, Frame, decode
+from groundstation.mavlink.codec import Batch, Frame, decode, message_id
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -27,6 +27,9 @@ AUTOPILOT_COMPID = 1
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 _TYPE_GCS = 6  # MAV_TYPE_GCS
+_HEARTBEAT = message_id("HEARTBEAT")
+_PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from another address
+_RIVAL_NS = 5_000_000_000
 
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
@@ -117,6 +120,8 @@ class Fleet:
         self._acks: list[Ack] = []
         self._texts: list[Text] = []
         self._timesync: list[TimesyncRequest] = []
+        self._peer_ns = _times(n)
+        self._rivals: list[tuple[str, int] | None] = [None] * n
 
     def __len__(self) -> int:
         """Number of vehicles, n."""
@@ -138,10 +143,11 @@ class Fleet:
                 self.counts["other component"] += 1
             elif item.link != self.link[row]:
                 self.counts["wrong link"] += 1
+            elif not self._from_its_address(row, item):
+                self.counts["second sender under a vehicle's id"] += 1
             else:
                 accepted.append(item)
                 rows.append(row)
-                self.peer[row] = item.peer
         if not accepted:
             return
         row_of_frame = np.array(rows, dtype=np.int64)
@@ -150,6 +156,24 @@ class Fleet:
             handler = _HANDLERS.get(batch.name)
             if handler is not None:
                 handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
+
+    def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
+        """Whether a frame comes from where the vehicle is; it may move only after a silence."""
+        if self.peer[row] != item.peer:
+            if self.peer[row] is not None and item.t_rx_ns - int(self._peer_ns[row]) < _PEER_SILENT_NS:
+                if item.frame.msgid == _HEARTBEAT:
+                    self._rivals[row] = (item.peer, item.t_rx_ns)
+                return False
+            self.peer[row] = item.peer
+        self._peer_ns[row] = item.t_rx_ns
+        return True
+
+    def twin(self, vehicle: int, now_ns: int) -> str | None:
+        """Tells of a second vehicle that speaks under this one's system id; None when there is none."""
+        rival = self._rivals[vehicle]
+        if rival is None or now_ns - rival[1] >= _RIVAL_NS:
+            return None
+        return f"two vehicles say that they are {self.sysid[vehicle]}, at {self.peer[vehicle]} and {rival[0]}"
 
     def take_acks(self) -> list[Ack]:
         """Hands out the command acknowledgements since the last call."""

@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.core.types import BoolArray
+from groundstation.core.limits import Fence
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
+_FENCE_TOLERANCE_M = 0.3  # a gust may carry a vehicle that far beyond the fence before everybody comes back
 _MODE_LOST_NS = 2_500_000_000  # two heartbeats, so that one from before our last request is not believed
 
 
@@ -41,6 +43,10 @@ def ground_problems(
         name = f"vehicle {spec.id}"
         if fleet.heartbeat_ns[vehicle] == NEVER:
             waiting.append(f"{name}: no heartbeat on {spec.link}; switch it on, or correct its id or link")
+            continue
+        twin = fleet.twin(vehicle, now_ns)
+        if twin is not None:
+            fatal.append(f"{name}: {twin}; give each vehicle its own id (MAV_SYS_ID, SYSID_THISMAV)")
             continue
         wrong = fleet.autopilot[vehicle] != plan.autopilots[vehicle].mav_autopilot
         if wrong:
@@ -97,7 +103,7 @@ class Findings:
 
     Attributes:
         alarms: lines for people, each said once.
-        land: vehicles that shall land where they are.
+        land: vehicles that shall land where they are, as soon as nobody is below.
         release: vehicles that are no longer ours; no setpoint, no command.
         abort: why the team shall come back, None when it need not.
     """
@@ -119,23 +125,27 @@ class Monitor:
 
     Attributes:
         hold: vehicles whose pose is too old to be steered by; they are told to stand still, shape (n,).
+        blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._plan = plan
         self.hold: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._pose_lost: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._silent: BoolArray = np.zeros(n, dtype=np.bool_)
         self._gone: BoolArray = np.zeros(n, dtype=np.bool_)
         self._mode_lost_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._battery_low: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._outside: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
 
-    def look(self, fleet: Fleet, now_ns: int, landing: BoolArray) -> Findings:
+    def look(self, fleet: Fleet, pos_team_ned_m: FloatArray, now_ns: int, landing: BoolArray) -> Findings:
         """Looks at the fleet once per tick.
 
         Args:
             fleet: what the vehicles report.
+            pos_team_ned_m: where they are at this tick, shape (n, 3).
             now_ns: time of the tick.
             landing: vehicles that were told to land, shape (n,); they may leave the streaming mode and disarm.
 
@@ -154,13 +164,11 @@ class Monitor:
                 abort=False,
             )
         self.hold = too_old
-        for vehicle in np.flatnonzero(
-            (now_ns - pose_ns > limits.pose_lost_s * _SECOND_NS) & ~self._pose_lost & ~landing
-        ):
-            self._pose_lost[vehicle] = True
+        for vehicle in np.flatnonzero((now_ns - pose_ns > limits.pose_lost_s * _SECOND_NS) & ~self.blind & ~landing):
+            self.blind[vehicle] = True
             findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: no position for {limits.pose_lost_s:g} s; it lands where it is,"
-                " the others come back",
+                f"vehicle {fleet.sysid[vehicle]}: no position for {limits.pose_lost_s:g} s; it lands where it is"
+                " when nobody is below, the others come back",
                 abort=True,
             )
             findings.land.append(int(vehicle))
@@ -177,6 +185,14 @@ class Monitor:
             findings.alarm(
                 f"vehicle {fleet.sysid[vehicle]}: battery at {fleet.battery_remaining[vehicle]:.0%}, minimum is"
                 f" {limits.battery_min:.0%}; everybody comes back",
+                abort=True,
+            )
+        outside_m = self._fence.outside_m(pos_team_ned_m)
+        for vehicle in np.flatnonzero((outside_m > _FENCE_TOLERANCE_M) & ~self._outside & ~landing & ~self._gone):
+            self._outside[vehicle] = True
+            findings.alarm(
+                f"vehicle {fleet.sysid[vehicle]}: {outside_m[vehicle]:.2f} m outside the fence, limit"
+                f" {_FENCE_TOLERANCE_M:g} m; everybody comes back",
                 abort=True,
             )
         self._look_at_modes(fleet, now_ns, landing, findings)

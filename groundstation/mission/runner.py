@@ -9,7 +9,7 @@ arming it ends at once, with nothing armed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -22,6 +22,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.guidance import Guide, Poses
+from groundstation.mission.landing import Landing
 from groundstation.mission.monitor import Monitor, ground_problems
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.schema import FormStep, HoldStep
@@ -32,7 +33,9 @@ _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking fas
 _STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
 _DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
-_LANDED_STILL_ARMED_NS = 5 * _SECOND_NS
+_DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while the team comes down
+_FAULTS_NOTED = 5
+_HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
 
@@ -134,9 +137,9 @@ class Runner:
         self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._rates_asked = np.zeros(n, dtype=np.bool_)
-        self._land_asked: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._landing = Landing(plan, self.fleet, self._station.commands)
+        self._faults = 0
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
@@ -218,33 +221,51 @@ class Runner:
         poses = self._poses(now_ns)
         if self._abort_requested:
             self._abort_requested = False
-            self._give_up("stopped by the operator", now_ns)
+            self._give_up("stopped by the operator", now_ns, stop=True)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES:
-            self._watch(now_ns)
+            self._watch(poses, now_ns)
+            poses = replace(poses, sinking=self._monitor.blind & self.fleet.armed)
             self._measure(poses)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
         elif self.phase is Phase.ARM:
             self._arm(now_ns, poses)
-        elif self.phase is Phase.TAKEOFF:
-            velocity = self._takeoff(now_ns, poses)
-        elif self.phase in FORMATION_PHASES:
-            velocity = self._formation(now_ns, poses)
-        elif self.phase is Phase.STOP:
+        elif self.phase is Phase.SILENT:
+            self._come_down(now_ns)
+        elif self.phase in AIRBORNE_PHASES:
+            velocity = self._steer(now_ns, poses)
+        streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
+        velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
+        return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
+
+    def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
+        """One tick of a phase in the air: the only place where a fault in our own mathematics is caught.
+
+        Whatever goes wrong there, the vehicles get a setpoint: to stand still. The team comes back, and where that
+        fails too it stands still until the time for it is over and then lands.
+        """
+        try:
+            if self.phase is Phase.TAKEOFF:
+                return self._takeoff(now_ns, poses)
+            if self.phase in FORMATION_PHASES:
+                return self._formation(now_ns, poses)
+            if self.phase is Phase.RETURN:
+                return self._return(now_ns, poses)
+            if self.phase is Phase.LAND:
+                return self._land(now_ns, poses)
             self._guide.rest()
             if now_ns - self._phase_ns >= _STOP_NS:
                 self._enter(Phase.RETURN, now_ns)
-        elif self.phase is Phase.RETURN:
-            velocity = self._return(now_ns, poses)
-        elif self.phase is Phase.LAND:
-            velocity = self._land(now_ns, poses)
-        elif self.phase is Phase.SILENT:
-            self._silent()
-        streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
-        velocity = np.where((self._monitor.hold | self._land_asked | self._released)[:, None], 0.0, velocity)
-        return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
+        except Exception as error:
+            self._faults += 1
+            text = f"fault in the ground station, {type(error).__name__}: {error}"
+            if self._faults <= _FAULTS_NOTED:
+                self._note("alarm", f"{text}; standing still")
+            self._guide.rest()
+            self._give_up(text, now_ns)
+        return np.zeros((self.plan.size, 3))
 
     # Phases
 
@@ -349,6 +370,9 @@ class Runner:
             if self._steady(now_ns):
                 if np.isnan(self.figures.time_to_form_s):
                     self.figures.time_to_form_s = (self._steady_since_ns - self._phase_ns) / _SECOND_NS
+                self.figures.converged = all(
+                    later.form is None for later in self.plan.spec.steps[self._step_index + 1 :]
+                )
                 self._next_step(now_ns, poses)
             return
         self._steady_since_ns = NEVER
@@ -361,54 +385,64 @@ class Runner:
 
     def _holding(self, step: HoldStep, error_m: float, now_ns: int, poses: Poses) -> None:
         self.figures.formation_error_m = float(np.fmax(self.figures.formation_error_m, error_m))
+        tolerance_m = next(
+            item.form.tolerance_m
+            for item in reversed(self.plan.spec.steps[: self._step_index])
+            if item.form is not None
+        )
+        if error_m <= _HOLD_TOLERANCE * tolerance_m:
+            self._steady_since_ns = NEVER
+        elif self._steady(now_ns):
+            self.figures.converged = False
+            self._give_up(
+                f"formation lost while holding: a distance is {error_m:.3f} m off, limit is"
+                f" {_HOLD_TOLERANCE:g} times the tolerance of {tolerance_m:g} m",
+                now_ns,
+            )
+            return
         if now_ns - self._phase_ns >= step.seconds * _SECOND_NS:
             self._next_step(now_ns, poses)
 
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
-        there = (offset < _PAD_TOLERANCE_M) | ~self.fleet.armed | self._released | self._land_asked
-        late = now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS
-        if bool(there.all()):
+        away = (offset >= _PAD_TOLERANCE_M) & self.fleet.armed
+        away &= ~(self._released | self._landing.asked | self._monitor.blind | self._landing.lost(now_ns))
+        if not away.any():
             if self._steady(now_ns):
                 self._enter(Phase.LAND, now_ns)
         else:
             self._steady_since_ns = NEVER
-            if late:
+            if now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
-        guidance = self._guide.to_targets(poses, self._gather_ned_m)
-        self._count_gridlocks(guidance.blocked, now_ns)
-        return guidance.vel_ned_m_s
+        setpoints = self._guide.to_targets(poses, self._gather_ned_m)
+        self._count_gridlocks(setpoints.blocked, now_ns)
+        return setpoints.vel_ned_m_s
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
-        fleet = self.fleet
-        on_ground = fleet.landed_state == LANDED_ON_GROUND
-        self._on_ground_since_ns = np.where(
-            on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
-        )
-        if not fleet.armed[~self._released].any():
-            if self._steady(now_ns, _DISARMED_NS):
-                self._finish(now_ns)
-            return np.zeros((self.plan.size, 3))
-        self._steady_since_ns = NEVER
-        for vehicle in np.flatnonzero(fleet.armed & ~self._released):
-            if self._station.commands.pending(int(vehicle)) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
-                continue
-            autopilot = self.plan.autopilots[vehicle]
-            if on_ground[vehicle]:
-                if self._land_asked[vehicle] and now_ns - self._on_ground_since_ns[vehicle] >= _LANDED_STILL_ARMED_NS:
-                    self._station.commands.request(int(vehicle), autopilot.disarm())
-                    self._asked_ns[vehicle] = now_ns
-            elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])) and self._clear_below(
-                int(vehicle), poses
-            ):
-                self._ask_to_land(int(vehicle), now_ns)
-        guidance = self._guide.to_targets(poses, self._gather_ned_m)
-        return guidance.vel_ned_m_s
+        if self._takeoff_ns == NEVER:
+            self._landing.disarm_on_the_ground(now_ns)
+        else:
+            self._landing.want(range(self.plan.size), now_ns)
+        self._come_down(now_ns)
+        return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
 
-    def _silent(self) -> None:
-        if not self.fleet.armed.any():
-            self._finish(self._last_step_ns)
+    def _come_down(self, now_ns: int) -> None:
+        """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
+        up = self._landing.still_up(self._phase_ns, now_ns, self._released)
+        late = now_ns - self._phase_ns >= _DOWN_MAX_NS
+        if up.any() and not late:
+            self._steady_since_ns = NEVER
+            return
+        if not late and not self._steady(now_ns, _DISARMED_NS):
+            return
+        names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.lost(now_ns))]
+        if names:
+            self._abort(f"{', '.join(names)}: not heard from any more, whether it has landed is not known")
+        if up.any():
+            names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
+            self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
+        self._finish(now_ns)
 
     # What the phases share
 
@@ -421,7 +455,6 @@ class Runner:
         if step.form is not None:
             self._enter(Phase.FORM, now_ns)
         else:
-            self.figures.converged = True
             self._enter(Phase.HOLD, now_ns)
 
     def _assign(self, poses: Poses) -> None:
@@ -452,55 +485,46 @@ class Runner:
         heights: FloatArray = self.plan.formation.points_enu_m[self.role_of_agent, 2]
         return heights
 
-    def _ask_to_land(self, vehicle: int, now_ns: int) -> None:
-        self._station.commands.request(vehicle, self.plan.autopilots[vehicle].land())
-        self._land_asked[vehicle] = True
-        self._asked_ns[vehicle] = now_ns
-
-    def _clear_below(self, vehicle: int, poses: Poses) -> bool:
-        """Whether nobody else stands or hovers where this vehicle would come down."""
-        away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        beside = np.hypot(away[:, 0], away[:, 1]) >= self.plan.spec.avoidance.radius_m
-        above = away[:, 2] < -self.plan.spec.avoidance.radius_m
-        beside[vehicle] = True
-        return bool((beside | above).all())
-
-    def _watch(self, now_ns: int) -> None:
+    def _watch(self, poses: Poses, now_ns: int) -> None:
         """Acts on what the monitors find in the air."""
-        findings = self._monitor.look(self.fleet, now_ns, self._land_asked)
+        findings = self._monitor.look(self.fleet, poses.pos_team_ned_m, now_ns, self._landing.asked)
         for text in findings.alarms:
             self._note("alarm", text)
         for vehicle in findings.release:
             self._released[vehicle] = True
             self._station.commands.clear(vehicle)
-        for vehicle in findings.land:
-            if not self._land_asked[vehicle] and not self._released[vehicle]:
-                self._station.commands.clear(vehicle)
-                self._ask_to_land(vehicle, now_ns)
+        self._landing.want(findings.land, now_ns)
+        self._landing.step(now_ns, poses, self._released)
         if findings.abort and self.outcome is None:
             self._give_up(findings.abort, now_ns)
 
-    def _give_up(self, reason: str, now_ns: int) -> None:
-        """Ends the mission early: on the ground at once, in the air by way of the pads."""
+    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False) -> None:
+        """Ends the mission early: on the ground at once, in the air by way of the pads.
+
+        Args:
+            reason: for the report.
+            now_ns: time of the tick.
+            stop: stand still for a moment first; not when somebody may have to get out of another one's way.
+        """
         self._abort(reason)
         if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
         if self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
-            # Everybody is told, armed or not: an arming that is under way shows in a heartbeat up to a second later.
             for vehicle in range(self.plan.size):
                 self._station.commands.clear(vehicle)
-                self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
             self._enter(Phase.LAND, now_ns)
         else:
-            self._enter(Phase.STOP, now_ns)
+            self._enter(Phase.STOP if stop else Phase.RETURN, now_ns)
 
     def _abort(self, reason: str) -> None:
-        if self.outcome is None:
-            self.outcome = "aborted"
-            self.reason = reason
-            self._note("alarm", f"aborted: {reason}")
+        """Notes why the mission is not completed; a later reason is added to the first."""
+        if reason in self.reason:
+            return
+        self.outcome = "aborted"
+        self.reason = f"{self.reason}; {reason}" if self.reason else reason
+        self._note("alarm", f"aborted: {reason}")
 
     def _refuse(self, reasons: list[str], now_ns: int) -> None:
         self.outcome = "refused"
@@ -532,8 +556,9 @@ class Runner:
         """Takes the vehicles' words and answers."""
         for outcome in self._station.commands.take_outcomes():
             if not outcome.accepted:
+                if self._refusals.get(outcome.vehicle) != outcome.words():  # once, not at every try
+                    self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
                 self._refusals[outcome.vehicle] = outcome.words()
-                self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
         for text in self.fleet.take_texts():
             sysid = self.fleet.sysid[text.vehicle]
             self._note("info", f"vehicle {sysid} says: {text.text}")
@@ -546,7 +571,7 @@ class Runner:
         fleet = self.fleet
         age_s = np.clip((now_ns - fleet.pose_ns) / _SECOND_NS, 0.0, self.plan.spec.limits.pose_age_s)
         position = self._origin_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s[:, None]
-        return Poses(position, fleet.vel_ned_m_s, fleet.quat_ned_from_frd)
+        return Poses(position, fleet.vel_ned_m_s, fleet.quat_ned_from_frd, np.zeros(self.plan.size, dtype=np.bool_))
 
     def _measure(self, poses: Poses) -> None:
         distance = min_distance_m(poses.pos_team_ned_m, self.airborne)
