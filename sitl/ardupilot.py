@@ -106,6 +106,10 @@ class ArduCopter(Autopilot):
 
     # -- heartbeat ----------------------------------------------------------------------------------------------
 
+    def mode_name(self) -> str:
+        """Its name, for people."""
+        return NAMES[self.mode]
+
     def base_mode(self) -> int:
         """MAV_MODE_FLAG bits of the heartbeat."""
         flags = 0x1 | 0x10 | 0x40 | (0x80 if self.armed else 0)
@@ -385,6 +389,9 @@ class ArduCopter(Autopilot):
             if lost and self.mode not in (RTL, LAND):
                 self.text(WARNING, "GCS Failsafe - RTL")
                 self._change_mode(RTL)
+        if not self.position_good and self.mode in _NEED_POSITION and not self.landed:
+            self.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+            self._change_mode(LAND)
         if self.battery_low() and self.mode not in (RTL, LAND) and not self.landed:
             self._change_mode(LAND if whole(self.params["BATT_FS_LOW_ACT"]) == 1 else RTL)
 

@@ -106,6 +106,10 @@ class Autopilot(Protocol):
 
     # -- what the personality tells -----------------------------------------------------------------------------
 
+    def mode_name(self) -> str:
+        """Name of the mode, for people."""
+        raise NotImplementedError
+
     def base_mode(self) -> int:
         """MAV_MODE_FLAG bits of the heartbeat."""
         raise NotImplementedError
@@ -197,6 +201,8 @@ class Autopilot(Protocol):
         if not world.has_position[i]:
             self._look_for_position()
         self.battery.drain(float(world.dynamics.thrust_m_s2[i]) / 9.80665 * self.armed, dt_s)
+        if self.battery.left <= 0.0:
+            world.dynamics.thrust_share[i] = 0.0
         if self._param_queue:
             self.send_queued_params()
         self._detect_landing(now_ns)

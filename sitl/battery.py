@@ -15,6 +15,7 @@ class Battery:
         capacity_mah: only for what is reported.
         left: what is left, 1 when full.
         current_a, voltage_v: under the present load.
+        extra_per_s: share that is lost per second on top (a fault).
     """
 
     endurance_s: float
@@ -23,10 +24,11 @@ class Battery:
     left: float = 1.0
     current_a: float = 0.0
     voltage_v: float = 16.2
+    extra_per_s: float = 0.0
 
     def drain(self, load: float, dt_s: float) -> None:
         """Runs for ``dt_s`` under a load in hovering powers (0 standing, 1 hovering)."""
-        self.left = max(self.left - (load + 0.01) * dt_s / self.endurance_s, 0.0)
+        self.left = max(self.left - ((load + 0.01) / self.endurance_s + self.extra_per_s) * dt_s, 0.0)
         self.current_a = (load + 0.01) * self.capacity_mah * 3.6 / self.endurance_s
         # open-circuit voltage of a LiPo cell, nearly flat between 20 and 90 percent, minus what the load takes
         cell = 3.5 + 0.55 * self.left + 0.15 * max(self.left - 0.9, 0.0) * 10 - 0.4 * max(0.1 - self.left, 0.0) * 10

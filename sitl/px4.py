@@ -29,12 +29,21 @@ if TYPE_CHECKING:
 Mode = tuple[int, int]
 MANUAL, ALTCTL, POSCTL, ACRO, OFFBOARD, STABILIZED = (1, 0), (2, 0), (3, 0), (5, 0), (6, 0), (7, 0)
 TAKEOFF, LOITER, MISSION, RTL, LAND = (4, 2), (4, 3), (4, 4), (4, 5), (4, 6)
-_MODES = {MANUAL, ALTCTL, POSCTL, ACRO, OFFBOARD, STABILIZED, TAKEOFF, LOITER, MISSION, RTL, LAND}
+_MODES = {
+    MANUAL: "MANUAL", ALTCTL: "ALTCTL", POSCTL: "POSCTL", ACRO: "ACRO", OFFBOARD: "OFFBOARD", STABILIZED: "STABILIZED",
+    TAKEOFF: "AUTO.TAKEOFF", LOITER: "AUTO.LOITER", MISSION: "AUTO.MISSION", RTL: "AUTO.RTL", LAND: "AUTO.LAND",
+}  # fmt: skip
 _NAMES = {OFFBOARD: "Offboard", MISSION: "Mission"}
 _NEED_POSITION = {POSCTL, OFFBOARD, TAKEOFF, LOITER, MISSION, RTL, LAND}
 
 CRITICAL, INFO = 2, 6
+WARNING = 4
 _SINK_M_S = 0.55
+_BATTERY_LEVELS = (
+    ("BAT_LOW_THR", WARNING, "Low battery level, return advised\t"),
+    ("BAT_CRIT_THR", CRITICAL, "Critical battery level, return now\t"),
+    ("BAT_EMERGEN_THR", CRITICAL, "Dangerous battery level, land now\t"),
+)
 _SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x8000 | 0x1000000 | 0x2000000  # gyro, accel, mag, baro, gps, motors, ...
 _AHRS, _PREARM = 0x200000, 0x10000000
 _FRAME_LOCAL, _FRAME_BODY = 1, 8
@@ -67,7 +76,7 @@ class Px4(Autopilot):
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._takeoff_to: tuple[float, float, float] | None = None
         self._rtl_stage = 0
-        self._last_vz_enu = 0.0
+        self._battery_told = 0
         self.messages.update(
             {
                 MSG_SET_MODE: self._on_set_mode,
@@ -94,6 +103,10 @@ class Px4(Autopilot):
     def mode(self) -> Mode:
         """The mode that acts, and is shown."""
         return self.failsafe or self.intention
+
+    def mode_name(self) -> str:
+        """Its name, for people."""
+        return _MODES.get(self.mode, "?")
 
     def base_mode(self) -> int:
         """MAV_MODE_FLAG bits of the heartbeat."""
@@ -141,6 +154,8 @@ class Px4(Autopilot):
         """Why arming would be refused."""
         if self.deny_arming:
             return "Preflight Fail: Sensor 0 missing"
+        if self.battery.left < self.params["BAT_CRIT_THR"]:
+            return "Preflight Fail: Critical battery level"
         if not self.ready:
             return "Preflight Fail: ekf2 missing data" if not self.has_position else ""
         if self.mode == OFFBOARD and not self.setpoint_alive():
@@ -295,9 +310,7 @@ class Px4(Autopilot):
         point = self.setpoint
         if point is None:
             return
-        vel = point.vel_enu_m_s
-        self.command(point.pos_enu_m, vel, point.yaw_enu_rad, point.yaw_rate_rad_s)
-        self._last_vz_enu = vel[2] or 0.0
+        self.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Moves the estimator's origin, and LOCAL_POSITION_NED with it."""
@@ -339,6 +352,9 @@ class Px4(Autopilot):
         if not self.armed:
             return
         self._check_offboard()
+        self._check_estimate()
+        self._check_battery()
+        self._check_data_link(now_ns)
         self._disarm_by_itself(now_ns)
         if not self.armed:
             return
@@ -359,12 +375,42 @@ class Px4(Autopilot):
             return
         alive = self.setpoint_alive()
         if self.failsafe is None and not alive:
-            self.failsafe = POSCTL
-            self._entered = None
-            self.text(CRITICAL, "Failsafe activated\t")
-        elif self.failsafe is not None and alive:
+            self._fail_to(POSCTL)
+        elif self.failsafe == POSCTL and alive:
             self.failsafe = None
             self._entered = None
+
+    def _fail_to(self, mode: Mode) -> None:
+        """Lets a failsafe take over."""
+        self.failsafe = mode
+        self._entered = None
+        self.text(CRITICAL, "Failsafe activated\t")
+
+    def _check_estimate(self) -> None:
+        """Without a position it descends where it is."""
+        if not self.position_good and not self.landed and self.mode in _NEED_POSITION and self.mode != LAND:
+            self._fail_to(LAND)
+
+    def _check_battery(self) -> None:
+        """Tells about each threshold once, and acts on it as COM_LOW_BAT_ACT says (0: it does not)."""
+        left, action = self.battery.left, whole(self.params["COM_LOW_BAT_ACT"])
+        for level, (name, severity, words) in enumerate(_BATTERY_LEVELS):
+            if left >= self.params[name] or level < self._battery_told:
+                continue
+            self._battery_told = level + 1
+            self.text(severity, words)
+            wanted = {2: LAND, 3: LAND if level == 2 else RTL}.get(action) if level else None
+            if wanted is not None and not self.landed and self.mode not in (LAND, wanted):
+                self._fail_to(wanted)
+
+    def _check_data_link(self, now_ns: int) -> None:
+        """Any ground station's heartbeat counts; NAV_DLL_ACT is off by default."""
+        action, heard = whole(self.params["NAV_DLL_ACT"]), self.gcs_heard_ns
+        mode = {1: LOITER, 2: RTL, 3: LAND}.get(action)
+        if mode is None or heard is None or self.landed or self.failsafe is not None or self.mode == mode:
+            return
+        if now_ns - heard > self.params["COM_DL_LOSS_T"] * SECOND:
+            self._fail_to(mode)
 
     def _disarm_by_itself(self, now_ns: int) -> None:
         if not self.landed:

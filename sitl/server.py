@@ -9,13 +9,16 @@ unless it is told another one.
 from __future__ import annotations
 
 import contextlib
+import os
 import selectors
 import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from threading import Event
+from typing import TextIO
 
+from sitl.faults import FaultError, parse_faults
 from sitl.world import World, WorldConfig
 
 SECOND = 1_000_000_000
@@ -46,6 +49,9 @@ class Server:
         host: address of the ground station, and of the vehicles.
         tcp_port: vehicle i listens for TCP on ``tcp_port + 10 * i``, as ArduPilot's SITL; None for no TCP.
         udp: whether vehicles send UDP at all.
+        orders: a stream of lines, each a fault in YAML (``{kind: blackout, for_s: 2}``) or the word ``clear``;
+            they act when they are read. None for no such stream.
+        clock: monotonic time in ns.
 
     Attributes:
         world: what is emulated.
@@ -62,11 +68,16 @@ class Server:
         host: str = "127.0.0.1",
         tcp_port: int | None = None,
         udp: bool = True,
+        orders: TextIO | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._clock: Callable[[], int] = time.monotonic_ns
+        self._clock = clock
         self._offset_ns = 0
         self.late_ns = 0
         self.datagrams_in = self.datagrams_out = 0
+        self._orders = orders
+        self._order_rest = b""
+        self.order_errors: list[str] = []
         now_ns = self._clock()
         self.world = World(replace(config, start_ns=now_ns, unix_start_us=time.time_ns() // 1000), seed)
         n = len(config.vehicles)
@@ -85,6 +96,8 @@ class Server:
                     listener = _tcp_listener(host, tcp_port + 10 * i)
                     self._listeners.append(listener)
                     self._selector.register(listener, selectors.EVENT_READ, (i, "accept"))
+            if orders is not None:
+                self._selector.register(orders, selectors.EVENT_READ, (0, "orders"))
         except BaseException:
             self.close()
             raise
@@ -135,6 +148,9 @@ class Server:
         for key, _ in self._selector.select(timeout_s):
             vehicle, what = key.data
             item = key.fileobj
+            if what == "orders":
+                self._read_order()
+                continue
             if not isinstance(item, socket.socket):
                 continue
             if what is None:
@@ -143,6 +159,39 @@ class Server:
                 self._accept(vehicle, item)
             else:
                 self._read_tcp(vehicle, what)
+
+    def _read_order(self) -> None:
+        """Takes orders; a wrong one is kept for the display and changes nothing."""
+        if self._orders is None:
+            return
+        data = os.read(self._orders.fileno(), _READ_BYTES)
+        if not data:
+            self._selector.unregister(self._orders)
+            self._orders = None
+            return
+        *lines, self._order_rest = (self._order_rest + data).split(b"\n")
+        for line in lines:
+            self.order(line.decode(errors="replace").strip())
+
+    def order(self, line: str) -> None:
+        """Obeys one line of orders."""
+        try:
+            if line == "clear":
+                self.world.clear_faults()
+            elif line:
+                for fault in parse_faults(f"[{line}]", "order"):
+                    self.world.inject(fault)
+        except FaultError as error:
+            self.order_errors.append(str(error))
+
+    @property
+    def ground_stations(self) -> list[int]:
+        """How many ground stations each vehicle has heard lately."""
+        now_ns = self.world.now_ns
+        return [
+            sum(now_ns - heard < _PEER_SILENCE_NS for heard in udp.values()) + len(tcp)
+            for udp, tcp in zip(self._peers, self._tcp, strict=True)
+        ]
 
     def _read_udp(self, vehicle: int, item: socket.socket) -> None:
         while True:
@@ -177,7 +226,7 @@ class Server:
             self._drop(vehicle, peer)
             return
         now_ns = max(self._clock() + self._offset_ns, self.world.now_ns)
-        self.world.receive(vehicle, data, now_ns, peer.name)
+        self.world.receive(vehicle, data, now_ns, peer.name, stream=True)
 
     def _drop(self, vehicle: int, peer: _TcpPeer) -> None:
         self._selector.unregister(peer.connection)

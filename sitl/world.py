@@ -23,6 +23,7 @@ from sitl.autopilot import Autopilot, Boot
 from sitl.dynamics import Dynamics
 from sitl.environment import Downwash, Wind
 from sitl.estimator import MOCAP, Estimator, Noise
+from sitl.faults import Fault, FaultDesk
 from sitl.frames import Array, Geodesy
 from sitl.messages import MAKERS, NEEDS_GPS, NEEDS_ORIGIN, NEEDS_POSITION
 from sitl.network import PERFECT, Channel, LinkConfig
@@ -95,6 +96,7 @@ class WorldConfig:
         unix_start_us: date at power-up.
         real_boot: start-up takes as long as the real one.
         wind, downwash: options of the air.
+        faults: what goes wrong when; more can be injected at run time.
     """
 
     vehicles: Sequence[VehicleConfig]
@@ -109,6 +111,7 @@ class WorldConfig:
     real_boot: bool = False
     wind: WindConfig | None = None
     downwash: bool = False
+    faults: tuple[Fault, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -205,13 +208,17 @@ class World:
         self._next_tick_ns = self.now_ns
         self._rng_boot = rng_boot
         self.autopilots: list[Autopilot] = [self._power_up(i) for i in range(n)]
+        self.links = list(zip(self._uplinks, self._downlinks, strict=True))
+        self._faults = FaultDesk(self, config.faults)
         self._pairs = np.triu_indices(n, 1)
         self._history: list[tuple[Array, NDArray[np.bool_]]] = []
         self._min_distance_m = math.inf
 
     # -- interface ----------------------------------------------------------------------------------------------
 
-    def receive(self, vehicle_index: int, data: bytes, now_ns: int, ground_station: str = "gcs") -> None:
+    def receive(
+        self, vehicle_index: int, data: bytes, now_ns: int, ground_station: str = "gcs", *, stream: bool = False
+    ) -> None:
         """Takes one datagram from a ground station; it acts at the next physics step after its way up.
 
         Args:
@@ -219,7 +226,11 @@ class World:
             data: as received; noise is skipped.
             now_ns: when it was sent, not before the last ``advance``.
             ground_station: any name that tells senders apart.
+            stream: the sender's frames may come in pieces (TCP).
         """
+        key = (vehicle_index, ground_station)
+        if key not in self._splitters:
+            self._splitters[key] = FrameSplitter(datagrams=not stream)
         for t_ns, arrived in self._uplinks[vehicle_index].carry(now_ns, data):
             self._order += 1
             heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived))
@@ -260,6 +271,19 @@ class World:
         """Forgets the smallest distance."""
         self._history.clear()
         self._min_distance_m = math.inf
+
+    def inject(self, fault: Fault) -> None:
+        """Lets something go wrong now, for as long as the fault says; its ``at_s`` does not count."""
+        self._faults.inject(fault)
+
+    def clear_faults(self) -> None:
+        """Mends everything that is wrong, and forgets the rest of the timetable."""
+        self._faults.clear()
+
+    @property
+    def active_faults(self) -> tuple[Fault, ...]:
+        """What is wrong now."""
+        return tuple(fault for fault, _ in self._faults.active)
 
     @property
     def any_invalid(self) -> bool:
@@ -310,6 +334,7 @@ class World:
             self.streams.set_interval(index, name, 0, self.now_ns)
         fresh = self._power_up(index)
         fresh.params, fresh.mission, fresh.battery = pilot.params, pilot.mission, pilot.battery
+        fresh.deny_arming, fresh.ignore_commands = pilot.deny_arming, pilot.ignore_commands
         fresh.landed = bool(self.dynamics.on_ground[index])
         self.autopilots[index] = fresh
 
@@ -317,6 +342,8 @@ class World:
 
     def _step(self) -> None:
         self._view = None
+        if self.now_ns >= self._faults.next_ns:
+            self._faults.act(self.now_ns)
         self.dynamics.step()
         if not self.dynamics.all_on_ground:
             self._history.append((self.dynamics.pos_enu_m.copy(), self.dynamics.airborne()))
@@ -337,16 +364,11 @@ class World:
             self._sent.append(Outgoing(late.t_ns, late.vehicle, late.data))
 
     def _hand_over(self, arrival: _Arrival) -> None:
-        pilot = self.autopilots[arrival.vehicle]
-        if not pilot.powered or not self.talking[arrival.vehicle]:
-            return
-        key = (arrival.vehicle, arrival.peer)
-        splitter = self._splitters.get(key)
-        if splitter is None:
-            splitter = self._splitters[key] = FrameSplitter()
-        for piece in splitter.feed(arrival.data):
-            if isinstance(piece, Frame):
-                self.autopilots[arrival.vehicle].receive(piece)
+        pieces = self._splitters[arrival.vehicle, arrival.peer].feed(arrival.data)
+        for piece in pieces:
+            pilot = self.autopilots[arrival.vehicle]  # a reboot in between makes a new one
+            if isinstance(piece, Frame) and pilot.powered and self.talking[arrival.vehicle]:
+                pilot.receive(piece)
 
     def _make(self, name: str, vehicles: NDArray[np.int64]) -> int:
         """Makes one message type for some vehicles; returns how many were sent."""

@@ -12,7 +12,9 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from groundstation.app.output import Output
 from groundstation.core.errors import UserError
+from groundstation.records.manifest import versions
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
@@ -41,7 +43,7 @@ def build(called: str | None) -> typer.Typer:
     """
     application = typer.Typer(
         name="gs",
-        help="Ground station that flies teams of multirotors into 3D formations.",
+        help="Ground station that flies teams of multirotors into 3D formations. gs --version tells the version.",
         add_completion=False,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
@@ -59,9 +61,14 @@ def build(called: str | None) -> typer.Typer:
 def main() -> None:
     """Entry point of ``gs``."""
     arguments = sys.argv[1:]
+    if arguments == ["--version"]:
+        Console(highlight=False).print(f"gs {versions()['gs']}")
+        return
     called = next((argument for argument in arguments if not argument.startswith("-")), None)
     try:
         build(called)(args=arguments, prog_name="gs")
     except UserError as error:
         Console(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))
+        if "--json" in arguments and not error.answered:
+            Output(as_json=True).result({"error": str(error), "exit_code": error.exit_code})
         sys.exit(error.exit_code)

@@ -330,7 +330,11 @@ def _draw_error(figure: Figure, flight: Flight) -> None:
     instants = _thinned(flight.instants_ns())
     error = flight.formation_error_at(instants)
     if np.all(np.isnan(error)):
-        _say_missing(figure, "The formation error is not known: the log tells no formation, roles or common frame.")
+        _say_missing(
+            figure,
+            "The formation error is not known: the log tells no formation, roles or common frame.\n"
+            "For an imported flight: gs import ... --formation FILE",
+        )
         return
     from matplotlib.ticker import LogLocator, NullFormatter  # noqa: PLC0415
 

@@ -1,18 +1,18 @@
 """Feeds a recorded flight through the same object that flew it and compares every setpoint, to the bit.
 
-What is compared is each SET_POSITION_TARGET_LOCAL_NED frame of each tick, byte by byte, and on a difference the
-velocities in it. A log in which nothing was sent proves nothing and is refused.
+What is compared is every frame that was sent, byte by byte, tick by tick: setpoints, commands, answers and heartbeats;
+on a difference between setpoints the velocities in them too. A log in which no setpoint was sent proves nothing and is
+refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from groundstation.core.errors import MissionFailed, UserError
+from groundstation.core.errors import CheckFailed, UserError
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, message_id
 from groundstation.mission.plan import plan_from_record
 from groundstation.mission.runner import Runner
@@ -30,14 +30,16 @@ class VerifyResult:
     Attributes:
         ticks: steps made again.
         setpoints: setpoints compared.
-        mismatches: setpoints that differ in any bit, are missing or are too many.
-        max_error_m_s: largest difference of a velocity component among those that differ.
+        mismatches: frames of any type that differ in any bit, are missing or are too many.
+        max_error_m_s: largest difference of a velocity component among setpoints that differ.
+        complete: the log reaches to the end of the flight, as its manifest tells it.
     """
 
     ticks: int = 0
     setpoints: int = 0
     mismatches: int = 0
     max_error_m_s: float = 0.0
+    complete: bool = True
 
 
 def verify_log(path: Path) -> VerifyResult:
@@ -51,7 +53,7 @@ def verify_log(path: Path) -> VerifyResult:
 
     Raises:
         UserError: no manifest or no gains in it, or a log of another kind.
-        MissionFailed: there is nothing in it to verify.
+        CheckFailed: there is nothing in it to verify.
     """
     manifest = manifest_beside(path)
     if manifest is None or manifest.gains_npz is None:
@@ -63,43 +65,42 @@ def verify_log(path: Path) -> VerifyResult:
     reader = read_tlog(path, manifest.epoch_unix_us)
     result = VerifyResult()
     runner = Runner(plan, start_ns=0, whole_frames=True)
-    expected: list[Frame] = []
+    expected: list[bytes] = []
     recorded: list[Frame] = []
     for record in reader:
         if isinstance(record, Tick):
             _compare(expected, recorded, result)
             recorded = []
             outgoing = runner.step(record.t_ns)
-            expected = _setpoints([frame for datagram in outgoing for frame in datagram.frames])
+            expected = [frame for datagram in outgoing for frame in datagram.frames]
             result.ticks += 1
         elif isinstance(record, Sent):
-            if record.frame.msgid == _SETPOINT:
-                recorded.append(record.frame)
+            recorded.append(record.frame)
         elif isinstance(record, Received):
             runner.receive(record.link, record.peer, record.frame.raw, record.t_ns)
         elif isinstance(record, Noise):
             runner.receive(record.link, record.peer, record.data, record.t_ns)
         elif isinstance(record, Operator):
             runner.operator(record.text)
-    if reader.truncated_bytes == 0 and manifest.result is not None:
+    ended = manifest.result or {}
+    result.complete = reader.truncated_bytes == 0 and result.ticks >= int(ended.get("ticks") or 0)
+    if result.complete and ended:
         _compare(expected, recorded, result)
     if result.setpoints == 0:
-        raise MissionFailed(f"{path}: no setpoint in {result.ticks} ticks; there is nothing to verify")
+        raise CheckFailed(f"{path}: no setpoint in {result.ticks} ticks; there is nothing to verify")
     return result
 
 
-def _setpoints(frames: Sequence[bytes]) -> list[Frame]:
-    splitter = FrameSplitter()
-    pieces = [piece for raw in frames for piece in splitter.feed(raw)]
-    return [piece for piece in pieces if isinstance(piece, Frame) and piece.msgid == _SETPOINT]
-
-
-def _compare(expected: list[Frame], recorded: list[Frame], result: VerifyResult) -> None:
-    result.setpoints += len(recorded)
+def _compare(expected: list[bytes], recorded: list[Frame], result: VerifyResult) -> None:
+    result.setpoints += sum(frame.msgid == _SETPOINT for frame in recorded)
     result.mismatches += abs(len(expected) - len(recorded))
-    for mine, theirs in zip(expected, recorded, strict=False):
-        if mine.raw != theirs.raw:
-            result.mismatches += 1
+    splitter = FrameSplitter()
+    for raw, theirs in zip(expected, recorded, strict=False):
+        if raw == theirs.raw:
+            continue
+        result.mismatches += 1
+        (mine,) = splitter.feed(raw)
+        if isinstance(mine, Frame) and mine.msgid == theirs.msgid == _SETPOINT:
             (batch,) = decode([mine, theirs])
             velocity = np.stack([batch.values["vx"], batch.values["vy"], batch.values["vz"]]).astype(np.float64)
             result.max_error_m_s = max(result.max_error_m_s, float(np.abs(np.diff(velocity, axis=1)).max()))

@@ -18,11 +18,14 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 
-from groundstation.core.types import FloatArray
+from groundstation.core.types import FloatArray, IntArray
 from groundstation.design.problem import Block, Matrix, hermitian_part
 
 Solve = Callable[[FloatArray, FloatArray], FloatArray]
 """(rhs, constraint rhs) to the solution of the constrained normal equations."""
+
+LocalMatrix = tuple[IntArray, Matrix]
+"""Agents, shape (k,), and a Hermitian matrix on them, shape (k, k); zero elsewhere."""
 
 BLOCK = 128
 """Columns of the Schur complement formed at a time."""
@@ -145,7 +148,7 @@ class RankOneBasis:
         block: Block,
         vectors: scipy.sparse.csr_array,
         constraints: FloatArray,
-        extras: Matrix | None = None,
+        extras: tuple[LocalMatrix, ...] = (),
     ) -> None:
         """Takes the vectors as rows.
 
@@ -153,21 +156,22 @@ class RankOneBasis:
             block: the problem.
             vectors: v_k* as rows, shape (m, n).
             constraints: independent rows C with C y = 0, shape (k, m + e).
-            extras: a few admissible matrices that are not of rank one, shape (e, n, n); their unknowns come last.
+            extras: admissible matrices that are not of rank one; their unknowns come last.
         """
-        self._extras = extras if extras is not None else np.zeros((0, block.size, block.size), dtype=block.dtype)
+        self._extras = extras
         self._block = block
         self._rows = vectors
         self._constraints = constraints
         self._outer = outer_products(vectors)
-        self._sparse_extras = [scipy.sparse.csr_array(extra) for extra in self._extras]
         self.count = vectors.shape[0] + len(self._extras)
 
     def matrix(self, y: FloatArray) -> Matrix:
         """H(y), shape (n, n)."""
         ones, n = self._rows.shape[0], self._block.size
-        sparse_part = np.asarray(self._outer.T @ y[:ones]).reshape(n, n)
-        return hermitian_part(sparse_part + np.tensordot(y[ones:], self._extras, axes=1))
+        total = np.asarray(self._outer.T @ y[:ones]).reshape(n, n)
+        for weight, (agents, part) in zip(y[ones:], self._extras, strict=True):
+            total[np.ix_(agents, agents)] += weight * part
+        return hermitian_part(total)
 
     def reduced(self, y: FloatArray) -> Matrix:
         """Q* H(y) Q, shape (d, d)."""
@@ -180,7 +184,8 @@ class RankOneBasis:
     def _against(self, full: Matrix) -> FloatArray:
         """<H_k, X> for every k and a Hermitian X, shape (n, n)."""
         ones = (self._outer.conj() @ full.ravel()).real
-        return np.concatenate([ones, np.tensordot(self._extras.conj(), full, axes=2).real])
+        more = [np.vdot(part, full[np.ix_(agents, agents)]).real for agents, part in self._extras]
+        return np.concatenate([ones, np.array(more)])
 
     def factor(self, scaling: Matrix) -> Solve:
         """Forms M_kl = sum over cones |v_k* G G* v_l|^2 block by block, and factors it."""
@@ -189,9 +194,27 @@ class RankOneBasis:
         m = self._rows.shape[0]
         total = np.empty((self.count, self.count), order="F")
         squared_products(self._rows, middles, total)
-        for place, extra in enumerate(self._sparse_extras, start=m):
-            total[place, :] = sum(self._against(hermitian_part(middle @ (extra @ middle))) for middle in middles)
+        images = [self._rows @ middle if self._extras else middle for middle in middles]
+        for place, extra in enumerate(self._extras):
+            total[m + place, : m + place + 1] = sum(
+                self._extra_row(place, extra, middle, image) for middle, image in zip(middles, images, strict=True)
+            )
         return self._solver(total)
+
+    def _extra_row(self, place: int, extra: LocalMatrix, middle: Matrix, image: Matrix) -> FloatArray:
+        """<H_k, W E W> for the rank-one unknowns and for the extras up to E itself; ``image`` is v_k* W, all k."""
+        agents, part = extra
+        if len(agents) == self._block.size:
+            whole = hermitian_part(middle @ (part @ middle))
+            return self._against(whole)[: self._rows.shape[0] + place + 1]
+        strip = middle[:, agents]
+        seen = image[:, agents]
+        ones = ((seen @ part) * seen.conj()).sum(axis=1).real
+        more = [
+            np.vdot(other, strip[others] @ part @ strip[others].conj().T).real
+            for others, other in self._extras[: place + 1]
+        ]
+        return np.concatenate([ones, np.array(more)])
 
     def _solver(self, total: FloatArray) -> Solve:
         c = self._constraints

@@ -18,13 +18,16 @@ import scipy.linalg
 
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import FloatArray
-from groundstation.design.problem import Block, Matrix, graph_of, hermitian_part, split
+from groundstation.design.problem import Block, Matrix, graph_of, hermitian_part, pattern_equations, split
 
 ZERO_EIGENVALUE = 1e-8
 """Below this, relative to the spectral norm, an eigenvalue counts as zero."""
 
 WEAKEST = 1e-6
 """Slowest mode, relative to the spectral norm, below which a design is refused; far above ``ZERO_EIGENVALUE``."""
+
+EXACT_SHARE = 150
+"""Agents up to which a stalled least-squares problem is solved again by decomposition."""
 
 RESIDUAL_LIMIT = 1e-9
 """Largest kernel residual relative to the spectral norm, and largest asymmetry."""
@@ -141,7 +144,11 @@ def dual_on_non_edges(block: Block, dual: Matrix) -> Matrix:
         return np.zeros_like(dual)
     off_pattern = block.outside
     moved = hermitian_part(dual)
-    moved = moved - _kernel_share(block, moved)
+    share = _kernel_share(block, moved)
+    remains = float(np.linalg.norm(np.where(off_pattern, 0.0, moved - share)))
+    if block.size <= EXACT_SHARE and remains > 1e-9 * float(np.linalg.norm(moved)):
+        share = _exact_kernel_share(block, moved)
+    moved = moved - share
     return np.asarray(np.where(off_pattern, moved, 0.0))
 
 
@@ -176,6 +183,18 @@ def _kernel_share(block: Block, dual: Matrix) -> Matrix:
     return np.asarray(product + product.conj().T)
 
 
+def _exact_kernel_share(block: Block, dual: Matrix) -> Matrix:
+    """The same by a singular value decomposition: for agents so near each other that conjugate gradients stall."""
+    i, j = block.edges[:, 0], block.edges[:, 1]
+    entries, own = np.sqrt(2.0) * dual[i, j], dual.diagonal().real
+    values = np.concatenate([entries.real, entries.imag, own] if block.is_complex else [entries, own])
+    prices, *_ = np.linalg.lstsq(pattern_equations(block).toarray().T, values, rcond=1e-14)
+    parts = prices.reshape(block.kernel.shape[1], -1, block.size)
+    share = (parts[:, 0] + 1j * parts[:, 1] if block.is_complex else parts[:, 0]).T / 2
+    product = share @ block.kernel.conj().T
+    return np.asarray(product + product.conj().T)
+
+
 def upper_bound(block: Block, dual: Matrix) -> float:
     """Largest t that any admissible H of spectral norm 1 can have, as ``dual`` proves it.
 
@@ -198,13 +217,14 @@ def upper_bound(block: Block, dual: Matrix) -> float:
     return min(1.0, (negative + rounding) / positive)
 
 
-def certify_block(block: Block, gain: Matrix, dual: Matrix) -> BlockCertificate:
+def certify_block(block: Block, gain: Matrix, dual: Matrix, spectral_norm: float = 0.0) -> BlockCertificate:
     """Recomputes every figure of one block.
 
     Args:
         block: the problem that the matrix is said to solve.
         gain: negative semidefinite block of A (not of -A), shape (n, n), 1/s.
         dual: D, shape (n, n).
+        spectral_norm: what the bound counts for when the matrix itself is smaller, 1/s.
 
     Returns:
         The figures, good or bad; ``faults`` judges them.
@@ -218,6 +238,7 @@ def certify_block(block: Block, gain: Matrix, dual: Matrix) -> BlockCertificate:
     inside, slack = _spectrum(block, gain)
     slowest, fastest = float(inside[0] - slack), float(inside[-1] + slack)
     norm = max(fastest, -slowest)
+    rounding = 1e-9 * max(norm, spectral_norm)
     # -A = Q (Q* -A Q) Q* + what touches the kernel; the latter moves no eigenvalue by more than twice its norm
     touching = 2.0 * float(np.linalg.norm(gain @ block.kernel))
     if touching <= ZERO_EIGENVALUE * norm / 2:
@@ -225,11 +246,11 @@ def certify_block(block: Block, gain: Matrix, dual: Matrix) -> BlockCertificate:
     else:
         everywhere = scipy.linalg.eigvalsh(hermitian_part(gain), check_finite=False)
         zeros = int(np.sum(np.abs(everywhere) <= ZERO_EIGENVALUE * max(float(np.max(np.abs(everywhere))), 1e-300)))
-    bound = 1.0 if block.complete else upper_bound(block, dual)
+    bound = max(norm, spectral_norm) * (1.0 if block.complete else upper_bound(block, dual))
     return BlockCertificate(
         slowest=slowest,
         fastest=fastest,
-        bound=max(slowest, norm * bound),
+        bound=max(slowest, bound) if slowest <= bound + rounding else bound,
         zeros=zeros,
         zeros_expected=block.kernel.shape[1],
         residual=residual,
@@ -295,6 +316,8 @@ def faults(formation: Formation, gains: Gains, certificate: Certificate) -> list
             found.append(f"{name}: kernel residual {figures.residual:.3g} (limit {limit:.3g})")
         if figures.zeros != figures.zeros_expected:
             found.append(f"{name}: {figures.zeros} zero eigenvalues, the formation has {figures.zeros_expected}")
+        if figures.slowest > figures.bound:
+            found.append(f"{name}: slowest mode {figures.slowest:.6g} 1/s above its bound {figures.bound:.6g} 1/s")
         if np.isfinite(figures.slowest) and figures.slowest < WEAKEST * figures.fastest:
             positive = figures.slowest < -ZERO_EIGENVALUE * figures.fastest
             kind = "a positive eigenvalue" if positive else "a mode that is not damped"

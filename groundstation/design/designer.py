@@ -16,6 +16,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from groundstation.core.formation import Formation, Gains
 from groundstation.design.certify import (
+    RESIDUAL_LIMIT,
     WEAKEST,
     BlockCertificate,
     Certificate,
@@ -28,7 +29,7 @@ from groundstation.design.closed_form import solve_complete
 from groundstation.design.diagnosis import findings
 from groundstation.design.interior_point import solve_interior_point
 from groundstation.design.problem import Block, BlockSolution, Matrix, Watch, hermitian_part, split
-from groundstation.design.sdp import solve_clarabel, solve_cvxpy
+from groundstation.design.sdp import solve_clarabel
 from groundstation.design.shapes import notes
 from groundstation.design.splitting import solve_splitting
 
@@ -52,12 +53,19 @@ NEAR = 0.05
 
 Solver = Callable[[Block, float, Watch], BlockSolution]
 
+
+def _solve_cvxpy(block: Block, gap: float, watch: Watch) -> BlockSolution:
+    from groundstation.design.modelled import solve_cvxpy  # noqa: PLC0415 - slow to import, seldom wanted
+
+    return solve_cvxpy(block, gap, watch)
+
+
 METHODS: dict[str, Solver] = {
     "closed-form": solve_complete,
     "interior-point": solve_interior_point,
     "splitting": solve_splitting,
     "clarabel": solve_clarabel,
-    "cvxpy": solve_cvxpy,
+    "cvxpy": _solve_cvxpy,
 }
 
 
@@ -147,16 +155,19 @@ def design(
     wanted = default_gap(formation.size) if gap is None else gap
     with _one_thread():
         xy, z = split(formation)
-        found = [_solve(block, method, wanted, spectral_norm, watch) for block in (xy, z)]
+        # the cheaper block first: should time run out in the other, this one is not what is missing
+        vertical = _solve(z, method, wanted, spectral_norm, watch)
+        horizontal = _solve(xy, method, wanted, spectral_norm, watch)
+    found = (horizontal, vertical)
     names = [part.method for part in found]
     used = names[0] if names[0] == names[1] else "/".join(names)
     gains = Gains(
-        xy=np.asarray(found[0].gain, dtype=np.complex128),
-        z=np.asarray(found[1].gain.real, dtype=np.float64),
+        xy=np.asarray(horizontal.gain, dtype=np.complex128),
+        z=np.asarray(vertical.gain.real, dtype=np.float64),
     )
-    certificate = Certificate(found[0].figures, found[1].figures)
+    certificate = Certificate(horizontal.figures, vertical.figures)
     finished = all(part.reached for part in found)
-    why = "; ".join(findings(formation, (xy, z), certificate))
+    why = "; ".join(findings(formation, (xy, z), certificate, spectral_norm))
     reason = "; ".join(_refusal(certificate, spectral_norm))
     reason = (f"{reason}: {why}" if reason and why else reason) or "; ".join(faults(formation, gains, certificate))
     said = tuple(notes(formation) + _near_misses(formation))
@@ -199,7 +210,12 @@ def _judge(block: Block, name: str, solution: BlockSolution, gap: float, spectra
         gain = -spectral_norm * solution.matrix
     else:
         gain = -scale_to_norm(block, clean(block, solution.matrix), spectral_norm)
-    figures = certify_block(block, gain, dual_on_non_edges(block, solution.dual))
+    dual = dual_on_non_edges(block, solution.dual)
+    figures = certify_block(block, gain, dual, spectral_norm)
+    if figures.residual > RESIDUAL_LIMIT * max(figures.fastest, 1.0):
+        # cleaning moved it off the kernel: it was no admissible matrix, and zero always is one
+        gain = np.zeros_like(gain)
+        figures = certify_block(block, gain, dual, spectral_norm)
     return _Found(name, gain, figures, _reached(figures, gap, spectral_norm))
 
 

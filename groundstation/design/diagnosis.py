@@ -22,6 +22,9 @@ from groundstation.design.problem import Block, Matrix, split
 WEAK = 0.05
 """Slowest mode relative to the fastest below which a design is called weak."""
 
+MOST_COUNTED = 3000
+"""Unknowns up to which the null space of the kernel equations is looked at."""
+
 Edge = tuple[int, int]
 
 
@@ -35,13 +38,16 @@ def names(agents: Iterable[int], most: int = 8) -> str:
     return f"agents {', '.join(listed[:-1])} and {listed[-1]}"
 
 
-def findings(formation: Formation, blocks: tuple[Block, Block], certificate: Certificate) -> list[str]:
-    """Reasons for which the failing blocks fail, most telling first.
+def findings(
+    formation: Formation, blocks: tuple[Block, Block], certificate: Certificate, spectral_norm: float
+) -> list[str]:
+    """Reasons for which blocks fail that were proven to have no gains, most telling first.
 
     Args:
         formation: points and graph.
         blocks: its problems xy and z.
         certificate: figures of the best matrices found.
+        spectral_norm: fastest mode that was asked for, 1/s.
 
     Returns:
         Sentences without a final stop; empty when nothing fails.
@@ -49,7 +55,7 @@ def findings(formation: Formation, blocks: tuple[Block, Block], certificate: Cer
     failing = [
         block
         for block, figures in zip(blocks, (certificate.xy, certificate.z), strict=True)
-        if np.isfinite(figures.slowest) and figures.slowest < WEAKEST * max(figures.fastest, 1.0)
+        if np.isfinite(figures.slowest) and figures.bound < WEAKEST * spectral_norm
     ]
     if not failing:
         return []
@@ -116,6 +122,8 @@ def _graph_reasons(block: Block) -> list[str]:
 
 def _counting_reasons(block: Block) -> list[str]:
     """Too few edges for the dimension count, or agents all of whose edges must stay without gain."""
+    if len(block.unknown_edges) > MOST_COUNTED:
+        return []
     free = block.null_space
     kind = "horizontal" if block.is_complex else "vertical"
     if free.shape[1] == 0:

@@ -21,7 +21,8 @@ from groundstation.design.problem import Block, BlockSolution, Matrix, Progress,
 from groundstation.design.triangles import triangle_basis
 
 MOST_ITERATIONS = 60
-STEP_TO_BOUNDARY = 0.95
+BOLD_STEP, CAREFUL_STEP = 0.98, 0.95
+"""Share of the way to the boundary: for dense bases, and for large problems, where bold steps cost iterations."""
 NOTHING = 1e-8
 """Gap, and bound on t, at which nothing is left to be found."""
 
@@ -56,19 +57,22 @@ class _Scaling:
             raise np.linalg.LinAlgError("dual iterate is not positive definite")
         sigma = np.sqrt(values)
         root = np.sqrt(sigma)[:, None, :]
-        g = np.stack(
-            [
-                scipy.linalg.solve_triangular(part, scaled, lower=True, trans="C", check_finite=False)
-                for part, scaled in zip(lower, vectors * root, strict=True)
-            ]
-        )
+        solve = scipy.linalg.lapack.ztrtrs if np.iscomplexobj(lower) else scipy.linalg.lapack.dtrtrs
+        scaled = vectors * root
+        g = np.empty_like(scaled)
+        for place in range(2):
+            g[place], info = solve(lower[place], scaled[place], lower=1, trans=2)
+            if info != 0:
+                raise np.linalg.LinAlgError("slack is not positive definite")
         return _Scaling(g=g, inverse=_adjoint(lower @ (vectors / root)), sigma=sigma)
 
-    def step_length(self, scaled: Matrix) -> float:
-        """Largest step for which diag(sigma) + step * scaled stays positive definite."""
+    def step_lengths(self, ds: Matrix, dx: Matrix, share: float) -> tuple[float, float]:
+        """Largest steps for which diag(sigma) plus ds, and plus dx, stay positive definite."""
         root = 1.0 / np.sqrt(self.sigma)
-        lowest = float(np.linalg.eigvalsh(root[:, :, None] * scaled * root[:, None, :])[:, 0].min())
-        return 1.0 if lowest > -STEP_TO_BOUNDARY else -STEP_TO_BOUNDARY / lowest
+        weights = root[:, :, None] * root[:, None, :]
+        lowest = np.linalg.eigvalsh(np.concatenate([weights * ds, weights * dx]))[:, 0].tolist()
+        lengths = [1.0 if value > -share else -share / value for value in lowest]
+        return min(lengths[:2]), min(lengths[2:])
 
 
 def _adjoint(stack: Matrix) -> Matrix:
@@ -102,11 +106,12 @@ def solve_interior_point(block: Block, gap: float, watch: Watch, basis: Basis | 
     d = block.free
     unit = np.eye(d, dtype=block.dtype)
     now = _Iterate(np.zeros(unknowns.count), -1.0, np.stack([unit, unit]), np.stack([unit, unit]) / d)
+    share = BOLD_STEP if isinstance(unknowns, DenseBasis) else CAREFUL_STEP
     iteration, finished = 0, False
     while iteration < MOST_ITERATIONS and not finished and not watch.stop():
         iteration += 1
         try:
-            _step(now, unknowns, unit)
+            _step(now, unknowns, unit, share)
         except np.linalg.LinAlgError:
             break
         left = now.bound - now.t
@@ -120,7 +125,7 @@ def solve_interior_point(block: Block, gap: float, watch: Watch, basis: Basis | 
     )
 
 
-def _step(now: _Iterate, basis: Basis, unit: Matrix) -> None:
+def _step(now: _Iterate, basis: Basis, unit: Matrix, share: float) -> None:
     """One predictor-corrector step, in place; raises LinAlgError where rounding makes a factorisation fail."""
     d = len(unit)
     scaling = _Scaling.of(now.slack, now.dual)
@@ -146,7 +151,7 @@ def _step(now: _Iterate, basis: Basis, unit: Matrix) -> None:
 
     diagonal = sigma[:, :, None] * unit
     _, _, ds, dx = direction(-diagonal)
-    step_s, step_x = scaling.step_length(ds), scaling.step_length(dx)
+    step_s, step_x = scaling.step_lengths(ds, dx, share)
     inner = float(np.sum(sigma**2))
     ahead = float(np.vdot(diagonal + step_x * dx, diagonal + step_s * ds).real)
     centring = max(min((max(ahead, 0.0) / inner) ** 3, 1.0), 1e-6)
@@ -155,7 +160,7 @@ def _step(now: _Iterate, basis: Basis, unit: Matrix) -> None:
     mu = inner / (2 * d)
     target = 2.0 * ((centring * mu - sigma**2)[:, :, None] * unit - second)
     dy, dt, ds, dx = direction(target / (sigma[:, :, None] + sigma[:, None, :]))
-    step_s, step_x = scaling.step_length(ds), scaling.step_length(dx)
+    step_s, step_x = scaling.step_lengths(ds, dx, share)
     now.y = now.y + step_s * dy
     now.t = now.t + step_s * dt
     reduced = basis.reduced(now.y)

@@ -98,37 +98,44 @@ class Block:
         return np.concatenate([every, every]) if self.is_complex else every
 
     @cached_property
+    def _equation_entries(self) -> tuple[IntArray, IntArray, FloatArray, int]:
+        """Rows, columns and values of ``equations``, and the number of rows."""
+        n, count = self.size, len(self.edges)
+        i, j = self.edges[:, 0], self.edges[:, 1]
+        step = self.coordinate[j] - self.coordinate[i]
+        a, b = np.arange(count), np.arange(count) + count
+        spread = self.kernel.shape[1] == 2
+        if not self.is_complex:
+            if not spread:
+                return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), 0
+            return np.concatenate([i, j]), np.concatenate([a, a]), np.concatenate([step, -step]), n
+        one, x, y = np.ones(count), step.real, step.imag
+        rows, columns, values = [i, j], [b, b], [one, -one]
+        if spread:
+            rows += [i + n, j + n] * 2 + [i + 2 * n, j + 2 * n] * 2
+            columns += [a, a, b, b] * 2
+            values += [x, -x, -y, -y, y, -y, x, x]
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values), 3 * n if spread else n
+
+    @cached_property
     def equations(self) -> scipy.sparse.csr_array:
         """Real linear equations that say H N = 0, one column per unknown, sparse, shape (k, u).
 
         With H_ij = a + ib for i < j, its conjugate below and minus the row sums on the diagonal, the row sums vanish by
         construction; what remains is that the diagonal is real and that sum_j H_ij (p_j - p_i) = 0.
         """
-        n, count = self.size, len(self.edges)
-        i, j = self.edges[:, 0], self.edges[:, 1]
-        step = self.coordinate[j] - self.coordinate[i]
-        columns = np.arange(count)
-
-        def rows(at_i: Matrix, at_j: Matrix) -> scipy.sparse.csr_array:
-            entries = (np.concatenate([at_i, at_j]), (np.concatenate([i, j]), np.concatenate([columns, columns])))
-            return scipy.sparse.csr_array(entries, shape=(n, count))
-
-        spread = self.kernel.shape[1] == 2
-        if not self.is_complex:
-            return rows(step, -step) if spread else scipy.sparse.csr_array((0, count))
-        one, zero = np.ones(count), scipy.sparse.csr_array((n, count))
-        stack = [[zero, rows(one, -one)]]
-        if spread:
-            stack += [[rows(step.real, -step.real), rows(-step.imag, -step.imag)]]
-            stack += [[rows(step.imag, -step.imag), rows(step.real, step.real)]]
-        return scipy.sparse.block_array(stack).tocsr()
+        rows, columns, values, count = self._equation_entries
+        return scipy.sparse.csr_array((values, (rows, columns)), shape=(count, len(self.unknown_edges)))
 
     @cached_property
     def null_space(self) -> FloatArray:
         """Orthonormal basis of the unknowns that satisfy ``equations``, shape (u, dimensions)."""
-        if self.equations.shape[0] == 0 or len(self.unknown_edges) == 0:
+        places, columns, entries, count = self._equation_entries
+        if count == 0 or len(self.unknown_edges) == 0:
             return np.eye(len(self.unknown_edges))
-        _, values, rows = np.linalg.svd(self.equations.toarray(), full_matrices=True)
+        dense = np.zeros((count, len(self.unknown_edges)))
+        dense[places, columns] = entries  # no two entries share a place
+        _, values, rows = np.linalg.svd(dense, full_matrices=True)
         rank = int(np.sum(values > CONSTRAINT_TOLERANCE * max(values[0], 1e-300)))
         return np.ascontiguousarray(rows[rank:].T)
 
@@ -214,6 +221,29 @@ def _block(name: BlockName, coordinate: Matrix, edges: IntArray, adjacency: Bool
         edges=edges,
         adjacency=adjacency,
     )
+
+
+def pattern_equations(block: Block) -> scipy.sparse.csr_array:
+    """H N = 0 in orthonormal coordinates of the pattern: sqrt 2 Re H_ij, sqrt 2 Im H_ij (xy only), and the diagonal.
+
+    Returns:
+        For each column of the kernel n rows of real parts, for xy n more of imaginary parts.
+    """
+    n = block.size
+    i, j = block.edges[:, 0], block.edges[:, 1]
+    edge, every = np.arange(len(i)), np.arange(n)
+    stack: list[scipy.sparse.csr_array] = []
+    for direction in block.kernel.T:
+        rows, columns = np.concatenate([i, j]), np.concatenate([edge, edge])
+        seen = np.concatenate([direction[j], direction[i]]) / np.sqrt(2.0)
+        parts = [scipy.sparse.csr_array((seen, (rows, columns)), (n, len(i)))]
+        if block.is_complex:
+            turned = np.concatenate([1j * direction[j], -1j * direction[i]]) / np.sqrt(2.0)
+            parts.append(scipy.sparse.csr_array((turned, (rows, columns)), (n, len(i))))
+        parts.append(scipy.sparse.csr_array((direction, (every, every)), (n, n)))
+        full = scipy.sparse.csr_array(scipy.sparse.hstack(parts))
+        stack += [full.real, full.imag] if block.is_complex else [full]
+    return scipy.sparse.csr_array(scipy.sparse.vstack(stack))
 
 
 @dataclass(frozen=True)

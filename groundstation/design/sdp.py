@@ -1,4 +1,4 @@
-"""Reference solvers: Clarabel on the split problem, through its own interface and through cvxpy.
+"""Reference solver: Clarabel on the split problem, through its own interface.
 
 The kernel equations are eliminated first (null-space basis), because redundant equalities make interior-point
 solvers fail. What a solver says of itself is not believed: the certificate of the matrix decides.
@@ -6,10 +6,7 @@ solvers fail. What a solver says of itself is not believed: the certificate of t
 
 from __future__ import annotations
 
-import warnings
-
 import clarabel
-import cvxpy
 import numpy as np
 import scipy.sparse
 
@@ -26,7 +23,7 @@ def reduced_basis(block: Block) -> Matrix:
     return np.asarray(q.conj().T @ basis @ q)
 
 
-def _embed(matrices: Matrix) -> FloatArray:
+def embed(matrices: Matrix) -> FloatArray:
     """Real symmetric matrices with the spectrum of Hermitian ones (each eigenvalue twice), shape (k, 2d, 2d)."""
     if not np.iscomplexobj(matrices):
         return np.asarray(matrices)
@@ -35,7 +32,7 @@ def _embed(matrices: Matrix) -> FloatArray:
     return np.concatenate([upper, lower], axis=1)
 
 
-def _fold(block: Block, real: FloatArray) -> Matrix:
+def fold(block: Block, real: FloatArray) -> Matrix:
     """Adjoint of ``_embed`` up to a factor: the Hermitian matrix that a real dual stands for, shape (d, d)."""
     if not block.is_complex:
         return real
@@ -63,7 +60,7 @@ def solve_clarabel(block: Block, gap: float, watch: Watch | None = None) -> Bloc
     basis = reduced_basis(block)
     if len(basis) == 0 or block.free == 0:
         return zero_solution(block)
-    real = _embed(basis)
+    real = embed(basis)
     side = real.shape[1]
     rows, columns, weights = _triangle(side)
     stacked = (real[:, rows, columns] * weights).T
@@ -96,50 +93,7 @@ def solve_clarabel(block: Block, gap: float, watch: Watch | None = None) -> Bloc
     square[:, columns, rows] = duals / weights
     return BlockSolution(
         matrix=block.assemble(block.null_space @ np.asarray(answer.x)[:-1]),
-        dual=block.expand(_fold(block, square[0] - square[1])),
+        dual=block.expand(fold(block, square[0] - square[1])),
         iterations=int(answer.iterations),
         finished=solved,
-    )
-
-
-def solve_cvxpy(block: Block, gap: float, watch: Watch | None = None) -> BlockSolution:
-    """Solves one block as a cvxpy model with Clarabel: a second, independent statement of the same problem.
-
-    Args:
-        block: the problem; meant for n <= 16.
-        gap: relative gap at which the solver may stop.
-        watch: only asked before the start.
-
-    Returns:
-        The solution as the solver left it; zero and unfinished when the solver gave nothing.
-    """
-    basis = reduced_basis(block)
-    if len(basis) == 0 or block.free == 0:
-        return zero_solution(block)
-    if watch is not None and watch.stop():
-        return zero_solution(block, finished=False)
-    real = _embed(basis)
-    side = real.shape[1]
-    y, t = cvxpy.Variable(len(basis)), cvxpy.Variable()
-    combined = cvxpy.reshape(real.reshape(len(basis), -1).T @ y, (side, side), order="C")
-    # the products are symmetric up to rounding only, which cvxpy has to be told
-    symmetric = (combined + combined.T) / 2
-    lower, upper = symmetric >> t * np.eye(side), symmetric << np.eye(side)
-    problem = cvxpy.Problem(cvxpy.Maximize(t), [lower, upper])
-    tolerance = min(1e-8, gap / 10)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # "solution may be inaccurate": the certificate will tell
-        try:
-            problem.solve(
-                solver=cvxpy.CLARABEL, tol_gap_abs=tolerance, tol_gap_rel=tolerance, tol_feas=tolerance, max_threads=1
-            )
-        except cvxpy.SolverError:
-            return zero_solution(block, finished=False)
-    if y.value is None or lower.dual_value is None or upper.dual_value is None:
-        return zero_solution(block, finished=False)
-    return BlockSolution(
-        matrix=block.assemble(block.null_space @ y.value),
-        dual=block.expand(_fold(block, lower.dual_value - upper.dual_value)),
-        iterations=int(problem.solver_stats.num_iters or 0),
-        finished=problem.status == cvxpy.OPTIMAL,
     )

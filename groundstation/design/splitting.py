@@ -22,7 +22,16 @@ import scipy.sparse.linalg
 
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.design.closed_form import solve_complete
-from groundstation.design.problem import Block, BlockSolution, Matrix, Progress, Watch, hermitian_part, zero_solution
+from groundstation.design.problem import (
+    Block,
+    BlockSolution,
+    Matrix,
+    Progress,
+    Watch,
+    hermitian_part,
+    pattern_equations,
+    zero_solution,
+)
 
 MOST_ITERATIONS = 20_000
 WEIGHT = 0.5
@@ -121,22 +130,7 @@ def _whole(block: Block) -> _Reduced:
     n = block.size
     i, j = block.edges[:, 0], block.edges[:, 1]
     every, root = np.arange(n), np.sqrt(2.0)
-    stack = []
-    for direction in block.kernel.T:
-        # (H w)_i = sum_j H_ij w_j in orthonormal coordinates of the pattern: sqrt 2 Re, sqrt 2 Im, diagonal
-        columns = np.arange(len(i))
-        rows = np.concatenate([i, j])
-        twice = np.concatenate([columns, columns])
-        seen = np.concatenate([direction[j], direction[i]]) / root
-        straight = scipy.sparse.csr_array((seen, (rows, twice)), (n, len(i)))
-        own = scipy.sparse.csr_array((direction, (every, every)), (n, n))
-        parts = [straight, own]
-        if block.is_complex:
-            imaginary = np.concatenate([1j * direction[j], -1j * direction[i]]) / root
-            parts.insert(1, scipy.sparse.csr_array((imaginary, (rows, twice)), (n, len(i))))
-        full = scipy.sparse.hstack(parts).tocsr()
-        stack += [full.real, full.imag] if block.is_complex else [full]
-    equations = scipy.sparse.vstack(stack).tocsr()
+    equations = pattern_equations(block)
     normal = (equations @ equations.T).tocsc()
     # the equations repeat each other; a shift at the level of rounding and one refinement take care of that
     shift = 1e-12 * float(normal.diagonal().max())
@@ -212,7 +206,8 @@ def solve_splitting(block: Block, gap: float, watch: Watch, most: int = MOST_ITE
         admissible = small.project(state)
         if iteration % CHECK_EVERY == 0 or (iteration < 20 and iteration in (1, 2, 4, 7, 13)):
             values = np.linalg.eigvalsh(admissible)
-            if values[0] > best_slowest * values[-1]:
+            # where pattern and kernel leave nothing but zero, what is left is rounding
+            if values[-1] > NOTHING and values[0] > best_slowest * values[-1]:
                 # scaled to the norm of the identity that fills up the rest
                 best, best_slowest = admissible / values[-1], float(values[0] / values[-1])
             dual = state - admissible

@@ -15,15 +15,24 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 
-from groundstation.core.types import FloatArray, IntArray
-from groundstation.design.basis import RankOneBasis, outer_products, squared_products
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.design.basis import LocalMatrix, RankOneBasis, outer_products, squared_products
 from groundstation.design.problem import Block, Matrix
 
 MOST_TRIANGLES = 12_000
 """Above this the selection costs more than it saves."""
 
-MOST_EXTRAS = 40
-"""Full matrices that a basis may carry for what neither triangles nor chords reach."""
+LOCAL_REACH = 0.03
+"""Share of a direction that a local matrix has to have to stand for it."""
+
+MOST_PAIRS = 6
+"""Pairs of neighbours around which one missing direction is looked for."""
+
+FEW_WIDE = 8
+"""Full matrices that cost less than looking for local ones."""
+
+MOST_WIDE = 60
+"""Full matrices that a basis may carry for what nothing local reaches."""
 
 INDEPENDENT = 1e-9
 """Squared distance from the span of the others above which a triangle counts as independent of them."""
@@ -64,12 +73,12 @@ def triangle_basis(block: Block) -> RankOneBasis | None:
     draws -= (block.equations.T @ (inverse @ (block.equations @ draws.T))).T
     gap = _Gap.of(block, draws, rows[chosen], np.asfortranarray(factor[:rank, :rank]))
     chords, left = _close(block, gap)
-    if left.shape[1] > MOST_EXTRAS:
+    extras = _local_extras(block, gap, left)
+    if extras is None:
         return None
     added = [triangle_vectors(block, chord.corners)[1] for chord in chords]
     vectors = scipy.sparse.vstack([rows[chosen], *added]).tocsr()
-    extras = np.stack([gap.matrix(block, part) for part in left.T]) if left.shape[1] else None
-    constraints = np.zeros((len(chords) * (2 if block.is_complex else 1), vectors.shape[0] + left.shape[1]))
+    constraints = np.zeros((len(chords) * (2 if block.is_complex else 1), vectors.shape[0] + len(extras)))
     place, equation = rank, 0
     for chord, part in zip(chords, added, strict=True):
         i, j = chord.corners[0, :2]
@@ -254,3 +263,105 @@ def _entry_free(inner: FloatArray, entry: Matrix, is_complex: bool) -> FloatArra
     rows = np.stack([entry.real, entry.imag]) if is_complex else entry.real[None]
     _, _, basis = np.linalg.svd(rows, full_matrices=True)
     return np.asarray(inner @ basis[len(rows) :].T)
+
+
+def _local_extras(block: Block, gap: _Gap, left: FloatArray) -> tuple[LocalMatrix, ...] | None:
+    """Admissible matrices on few agents that reach what is left of the gap.
+
+    Args:
+        block: the problem.
+        gap: what triangles do not reach.
+        left: what chords do not reach of it, orthonormal, shape (missing, left).
+
+    Returns:
+        As many matrices as directions are left: on an agent and its neighbours or on two such sets where that reaches,
+        on all agents where not; None when the latter would be too many.
+    """
+    if left.shape[1] == 0:
+        return ()
+    edges = left.T @ gap.edges
+    diagonal = left.T @ gap.diagonal
+    around = block.adjacency | np.eye(block.size, dtype=np.bool_)
+    found: list[LocalMatrix] = []
+    opened = np.eye(left.shape[1])  # orthonormal basis of what is still to be reached
+    for hops in (1, 2, 3):
+        if opened.shape[1] <= FEW_WIDE:
+            break
+        regions = list(around)
+        if hops > 1:
+            # edges on which most is missing: with the neighbours of both ends, then with theirs as well
+            weight = np.sum(np.abs(opened.T @ edges) ** 2, axis=0)
+            count = (MOST_PAIRS if hops == 2 else 2) * opened.shape[1]
+            regions = [around[i] | around[j] for i, j in block.edges[np.argsort(-weight, kind="stable")[:count]]]
+        if hops == 3:
+            regions = [around[region].any(axis=0) for region in regions]
+        more, opened = _reach(block, edges, diagonal, regions, opened)
+        found += more
+    if opened.shape[1] > MOST_WIDE:
+        return None
+    everyone = np.arange(block.size, dtype=np.int64)
+    return (*found, *((everyone, gap.matrix(block, left @ direction)) for direction in opened.T))
+
+
+def _reach(
+    block: Block, edges: Matrix, diagonal: FloatArray, regions: list[BoolArray], opened: FloatArray
+) -> tuple[list[LocalMatrix], FloatArray]:
+    """Picks admissible matrices on single regions, greedily, until they add nothing more.
+
+    Args:
+        block: the problem.
+        edges: entries on the edges of the directions to reach, shape (left, m).
+        diagonal: their diagonals, shape (left, n).
+        regions: masks of agents.
+        opened: orthonormal basis of what is still to be reached, shape (left, open).
+
+    Returns:
+        The matrices, and what is open after them.
+    """
+    parts, reaches = [], []
+    for region in regions:
+        agents = np.flatnonzero(region).astype(np.int64)
+        part, members = _part(block, agents)
+        inner = opened @ (opened.T @ _inner(part, edges[:, members], diagonal[:, agents]))
+        if inner.size and float(np.sum(inner**2)) > LOCAL_REACH**2:
+            parts.append((agents, part))
+            reaches.append(inner)
+    found: list[LocalMatrix] = []
+    while reaches and opened.shape[1] > 0:
+        best = int(np.argmax([float(np.sum(reach**2)) for reach in reaches]))
+        basis, sizes, rows = np.linalg.svd(opened.T @ reaches[best], full_matrices=False)
+        good = int(np.sum(sizes > max(LOCAL_REACH, 0.3 * sizes[0])))
+        if good == 0:
+            break
+        agents, part = parts[best]
+        found += [(agents, part.assemble(part.null_space @ row)) for row in rows[:good]]
+        rest, _ = scipy.linalg.qr(basis[:, :good], mode="full")
+        new = opened @ basis[:, :good]
+        reaches = [reach - new @ (new.T @ reach) for reach in reaches]
+        opened = opened @ rest[:, good:]
+    return found, opened
+
+
+def _inner(part: Block, edges: Matrix, diagonal: FloatArray) -> FloatArray:
+    """Inner products of matrices, given on edges and diagonal of a part, with a basis of its admissible ones."""
+    unknowns, count = part.null_space, len(part.edges)
+    entries = unknowns[:count] + 1j * unknowns[count:] if part.is_complex else unknowns
+    own = np.zeros((part.size, unknowns.shape[1]))
+    np.add.at(own, part.edges[:, 0], -entries.real)
+    np.add.at(own, part.edges[:, 1], -entries.real)
+    return np.asarray(2.0 * (edges.conj() @ entries).real + diagonal @ own)
+
+
+def _part(block: Block, agents: IntArray) -> tuple[Block, IntArray]:
+    """The problem on some of the agents, and which edges of the whole it has."""
+    number = np.full(block.size, -1)
+    number[agents] = np.arange(len(agents))
+    members = np.flatnonzero((number[block.edges[:, 0]] >= 0) & (number[block.edges[:, 1]] >= 0)).astype(np.int64)
+    part = Block(
+        name=block.name,
+        coordinate=block.coordinate[agents],
+        kernel=block.kernel[agents],
+        edges=number[block.edges[members]],
+        adjacency=block.adjacency[np.ix_(agents, agents)],
+    )
+    return part, members

@@ -212,6 +212,10 @@ class Fleet:
         rival = self._rivals[vehicle]
         if rival is not None and now_ns - rival[1] < _RIVAL_NS:
             return f"two vehicles say that they are {self.sysid[vehicle]}, at {self.peer[vehicle]} and {rival[0]}"
+        return self.twin_behind_one_address(vehicle, now_ns)
+
+    def twin_behind_one_address(self, vehicle: int, now_ns: int) -> str | None:
+        """The same of one whose frames cannot be told from the vehicle's own: they come from the same address."""
         times = (self._position_times, self._place_times, self._attitude_times)
         if any(item.two_at_once(vehicle, now_ns) for item in times):
             return (
@@ -230,6 +234,10 @@ class Fleet:
         return sorted(
             where for (name, where), t_ns in self._elsewhere.items() if name == sysid and now_ns - t_ns < _RIVAL_NS
         )
+
+    def _count(self, event: str, times: int) -> None:
+        if times:
+            self.counts[event] += times
 
     def take_acks(self) -> list[Ack]:
         """Hands out the command acknowledgements since the last call."""
@@ -285,7 +293,7 @@ class Fleet:
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid = number & fresh
         if not valid.all():
-            self.counts["position that is not a number"] += int((~number).sum())
+            self._count("position that is not a number", int((~number).sum()))
             position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
         self.pos_local_ned_m[row] = position
         self.vel_ned_m_s[row] = velocity
@@ -328,7 +336,7 @@ class Fleet:
         fresh, measured_ns = self._when(self._attitude_times, batch, row, t_ns)
         valid = rotation & fresh
         if not valid.all():
-            self.counts["attitude that is no rotation"] += int((~rotation).sum())
+            self._count("attitude that is no rotation", int((~rotation).sum()))
             quat, norm, row = quat[valid], norm[valid], row[valid]
             measured_ns, t_ns = measured_ns[valid], t_ns[valid]
         quat /= norm[:, None]

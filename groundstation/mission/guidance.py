@@ -6,7 +6,7 @@ agent's own view. Keeps no state but the last setpoints, whose slope is limited.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,13 @@ class Poses:
         pos_team_ned_m: shape (n, 3); NaN where never known.
         vel_ned_m_s: shape (n, 3).
         quat_ned_from_frd: shape (n, 4).
+        sinking: the position is lost and the vehicle may be coming down anywhere below it, shape (n,).
     """
 
     pos_team_ned_m: FloatArray
     vel_ned_m_s: FloatArray
     quat_ned_from_frd: FloatArray
+    sinking: BoolArray
 
 
 @dataclass(frozen=True)
@@ -113,10 +115,22 @@ class Guide:
         return self._finish(poses, views, wish, self._fence)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
-        """What each agent sees: its neighbours, and whoever is near enough to hit."""
-        away = poses.pos_team_ned_m[:, None] - poses.pos_team_ned_m[None, :]
-        near = np.einsum("ijk,ijk->ij", away, away) < self._reach_m**2
-        return local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        """What each agent sees: its neighbours, and whoever is near enough to hit.
+
+        A vehicle whose position is lost may be anywhere below where it was last seen, for its autopilot may be
+        landing it: those below see it at their own height, so that they leave the column under it.
+        """
+        offset_ned = poses.pos_team_ned_m[None, :] - poses.pos_team_ned_m[:, None]
+        under = poses.sinking[None, :] & (offset_ned[..., 2] < 0.0)
+        offset_ned[..., 2] = np.where(under, 0.0, offset_ned[..., 2])
+        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_m**2
+        views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        if not under.any():
+            return views
+        rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        level_flu_m = frames.rotate_back(rot_ned_from_flu[:, None], offset_ned)
+        shown = (under & views.visible)[..., None]
+        return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
 
     def _finish(self, poses: Poses, views: LocalViews, wish_flu_m_s: FloatArray, box: Fence) -> Setpoints:
         speed_max = self._plan.spec.speed_limit_m_s

@@ -1,6 +1,12 @@
-"""From above the pads to disarmed: each vehicle when nobody is below it, and nobody is waited for without end."""
+"""Brings vehicles down, each when nobody is below it, and knows when the whole team is down.
+
+A vehicle that nobody has heard from for a while cannot be waited for: it is given up as lost, by name, so that the
+ground station ends and says so.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -11,39 +17,40 @@ from groundstation.mission.guidance import Poses
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
-_ASK_AGAIN_NS = _SECOND_NS
-_STILL_ARMED_NS = 5 * _SECOND_NS
+_ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
+_STILL_ARMED_NS = 5 * _SECOND_NS  # autopilots disarm by themselves two seconds after landing
+_BLOCKED_MAX_NS = 20 * _SECOND_NS
+_LOST_NS = 10 * _SECOND_NS
 
 
 class Landing:
     """Landings of one team.
 
-    Args:
-        plan: autopilots, r.
-        fleet: their state.
-        commands: what is asked goes out by it.
-
     Attributes:
-        asked: was told to land, shape (n,).
+        asked: vehicles that were told to land, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
-        self._plan, self._fleet, self._commands = plan, fleet, commands
-        self.asked: BoolArray = np.zeros(plan.size, dtype=np.bool_)
-        self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
-        self._on_ground_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        n = plan.size
+        self.asked: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._plan = plan
+        self._fleet = fleet
+        self._commands = commands
+        self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
+        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
 
-    def ask(self, vehicle: int, now_ns: int) -> None:
-        """Tells a vehicle to land where it is."""
-        self._commands.request(vehicle, self._plan.autopilots[vehicle].land())
-        self.asked[vehicle] = True
-        self._asked_ns[vehicle] = now_ns
+    def want(self, vehicles: Iterable[int], now_ns: int) -> None:
+        """Notes that vehicles shall land where they are, as soon as nobody is below."""
+        for vehicle in vehicles:
+            if self._wanted_ns[vehicle] == NEVER:
+                self._wanted_ns[vehicle] = now_ns
 
-    def step(self, now_ns: int, poses: Poses, released: BoolArray) -> bool:
-        """Asks those that may come down; returns whether nobody of ours is armed any more.
+    def step(self, now_ns: int, poses: Poses, released: BoolArray) -> None:
+        """Asks those to land who shall, and those to disarm who have stood on the ground for long.
 
         Args:
-            now_ns: time of this tick.
+            now_ns: time of the tick.
             poses: where everybody is.
             released: vehicles that are no longer ours, shape (n,).
         """
@@ -52,35 +59,53 @@ class Landing:
         self._on_ground_since_ns = np.where(
             on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
         )
-        if not fleet.armed[~released].any():
-            return True
-        for vehicle in np.flatnonzero(fleet.armed & ~released).tolist():
+        for vehicle in np.flatnonzero((self._wanted_ns != NEVER) & fleet.armed & ~released).tolist():
             if self._commands.pending(vehicle) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
                 continue
             autopilot = self._plan.autopilots[vehicle]
             if on_ground[vehicle]:
-                if now_ns - self._on_ground_since_ns[vehicle] >= _STILL_ARMED_NS:
+                if self.asked[vehicle] and now_ns - self._on_ground_since_ns[vehicle] >= _STILL_ARMED_NS:
                     self._commands.request(vehicle, autopilot.disarm())
                     self._asked_ns[vehicle] = now_ns
-            elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])) and self._clear_below(vehicle, poses):
-                self.ask(vehicle, now_ns)
-        return False
+            elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
+                waited_ns = now_ns - int(self._wanted_ns[vehicle])
+                if self._clear_below(vehicle, poses) or waited_ns >= _BLOCKED_MAX_NS:
+                    self._commands.request(vehicle, autopilot.land())
+                    self.asked[vehicle] = True
+                    self._asked_ns[vehicle] = now_ns
 
-    def still_armed(self, waited_s: float, released: BoolArray) -> str:
-        """Words for vehicles that were told to land and are armed all the same."""
-        fleet = self._fleet
-        rows = np.flatnonzero(fleet.armed & ~released)
-        modes = [self._plan.autopilots[i].mode_name(int(fleet.custom_mode[i])) for i in rows]
-        return "; ".join(
-            f"vehicle {fleet.sysid[i]}: told to land, and armed in mode {mode} after {waited_s:.0f} s; take it over"
-            for i, mode in zip(rows, modes, strict=True)
-        )
+    def disarm_on_the_ground(self, now_ns: int) -> None:
+        """Tells everybody to disarm, armed or not; for an arming that is broken off before takeoff.
+
+        An arming that is under way shows in a heartbeat up to a second later, so this is called again until
+        ``still_up`` has nobody left.
+        """
+        for vehicle in range(self._plan.size):
+            if now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS and not self._commands.pending(vehicle):
+                self._commands.request(vehicle, self._plan.autopilots[vehicle].disarm())
+                self._asked_ns[vehicle] = now_ns
+
+    def lost(self, now_ns: int) -> BoolArray:
+        """Vehicles that have not been heard from for ten seconds, shape (n,)."""
+        lost: BoolArray = now_ns - self._fleet.heartbeat_ns > _LOST_NS
+        return lost
+
+    def still_up(self, since_ns: int, now_ns: int, released: BoolArray) -> BoolArray:
+        """Vehicles that may still be armed, shape (n,).
+
+        Args:
+            since_ns: a heartbeat has to be newer than this to be believed.
+            now_ns: time of the tick.
+            released: vehicles that are not waited for, shape (n,); those that are lost are not either.
+        """
+        unsure: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
+        return unsure & ~released & ~self.lost(now_ns)
 
     def _clear_below(self, vehicle: int, poses: Poses) -> bool:
         """Whether nobody else stands or hovers where this vehicle would come down."""
-        radius = self._plan.spec.avoidance.radius_m
+        radius_m = self._plan.spec.avoidance.radius_m
         away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        beside = np.hypot(away[:, 0], away[:, 1]) >= radius
-        above = away[:, 2] < -radius
+        beside = np.hypot(away[:, 0], away[:, 1]) >= radius_m
+        above = away[:, 2] < -radius_m
         beside[vehicle] = True
         return bool((beside | above).all())

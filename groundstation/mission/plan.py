@@ -199,6 +199,8 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         UserError: they do not fit each other.
     """
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
+    if spec.steps[0].form is None:
+        raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
     _check_vehicles(spec, formation, source)
     _check_room(spec, formation, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
@@ -378,8 +380,14 @@ def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, sourc
                 f"{source}: fence: {room:.3g} m of room along {letter}, formation {formation.name} needs"
                 f" {extent:.3g} m; enlarge the fence or scale the formation down"
             )
+    half_stagger_m = spec.takeoff.stagger_m / 2.0
+    if spec.takeoff.height_m - half_stagger_m < _floor(spec):
+        raise UserError(
+            f"{source}: takeoff.height_m: {spec.takeoff.height_m:g} m less half of takeoff.stagger_m"
+            f" {spec.takeoff.stagger_m:g} m is below min_altitude_m {_floor(spec):g} m; start higher or stagger less"
+        )
     for number, pad in enumerate(pads):
-        over = pad + np.array([0.0, 0.0, spec.takeoff.height_m])
+        over = pad + np.array([0.0, 0.0, spec.takeoff.height_m + half_stagger_m])
         if np.any(pad < low) or np.any(over > high):
             raise UserError(
                 f"{source}: vehicles[{number}].pad_m: {pad.tolist()} with the takeoff height of"

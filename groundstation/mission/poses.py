@@ -14,7 +14,7 @@ import numpy as np
 import pymap3d
 
 from groundstation.core import frames
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.guidance import Poses
 from groundstation.mission.plan import MissionPlan
@@ -59,7 +59,7 @@ class TeamFrame:
         )
         self._anchor_is_given = anchor is not None or not self._gps.any()
         self._shift_ned_m: FloatArray = np.zeros((n, 3))
-        self._seen_origin: FloatArray = np.full((n, 3), np.nan)
+        self._nobody: BoolArray = np.zeros(n, dtype=np.bool_)
         self._next_look_ns = 0
         self.settled = False
 
@@ -106,10 +106,10 @@ class TeamFrame:
     def poses(self, fleet: Fleet, now_ns: int) -> Poses:
         """Poses of the team at one instant, each brought there from its measurement by its velocity."""
         velocity = np.where(self._global[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
-        return Poses(self._reported(fleet, now_ns) + self._shift_ned_m, velocity, fleet.quat_ned_from_frd)
+        return Poses(self._reported(fleet, now_ns) + self._shift_ned_m, velocity, fleet.quat_ned_from_frd, self._nobody)
 
-    def pose_ns(self, fleet: Fleet) -> FloatArray:
-        """When each pose was measured: the older of position and attitude, shape (n,), integers."""
+    def pose_ns(self, fleet: Fleet) -> IntArray:
+        """When each pose was measured: the older of position and attitude, shape (n,)."""
         return np.minimum(np.where(self._global, fleet.place_ns, fleet.pose_ns), fleet.attitude_ns)
 
     def off_pad_m(self, fleet: Fleet, now_ns: int) -> FloatArray:

@@ -93,7 +93,9 @@ class Preflight:
             name = f"vehicle {spec.id}"
             twin = fleet.twin(vehicle, now_ns)
             if twin is not None:
-                state.fatal.append(f"{name}: {twin}; give each vehicle its own system id")
+                state.fatal.append(
+                    f"{name}: {twin}; give each vehicle its own id (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)"
+                )
                 continue
             if fleet.heartbeat_ns[vehicle] == NEVER:
                 state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")

@@ -10,7 +10,7 @@ arming it ends at once, with nothing armed.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -26,7 +26,7 @@ from groundstation.mission.arming import Arming
 from groundstation.mission.climb import Climb
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.landing import Landing
-from groundstation.mission.monitor import Monitor
+from groundstation.mission.monitor import Monitor, Sight
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
@@ -36,12 +36,14 @@ _SECOND_NS = 1_000_000_000
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
 _STEADY_NS = _SECOND_NS  # how long a condition has to hold before the team believes it
 _DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
-_WORDS_KEPT = 3  # of each vehicle's own words, for reasons
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
-_LAND_SPARE_S = 60.0  # beyond the mission's own limit, before a vehicle that stays armed is left to its pilot
+_DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while the team comes down
+_FAULTS_NOTED = 5
+_HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
+_WORDS_KEPT = 3  # of each vehicle's own words, for reasons
 
 
 class Phase(Enum):
@@ -139,7 +141,6 @@ class Runner:
         self._preflight = Preflight(plan, self._station, self._frame)
         self._arming = Arming(plan, self.fleet, self._station.commands)
         self._climb = Climb(plan)
-        self._landing = Landing(plan, self.fleet, self._station.commands)
         self._guide = Guide(plan)
         self._monitor = Monitor(plan)
         self._check_only = check_only
@@ -152,6 +153,8 @@ class Runner:
         self._step_index = -1
         self._task: Task | None = None
         self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
+        self._landing = Landing(plan, self.fleet, self._station.commands)
+        self._faults = 0
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
         self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -239,35 +242,53 @@ class Runner:
         poses = self._frame.poses(self.fleet, now_ns)
         if self._abort_requested:
             self._abort_requested = False
-            self._give_up("stopped by the operator", now_ns)
+            self._give_up("stopped by the operator", now_ns, stop=True)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES:
-            self._watch(now_ns)
+            self._watch(poses, now_ns)
+            poses = replace(poses, sinking=self._monitor.blind & self.fleet.armed)
             self._measure(poses)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
         elif self.phase is Phase.ARM:
             self._arm(now_ns, poses)
-        elif self.phase is Phase.TAKEOFF:
-            velocity = self._takeoff(now_ns, poses)
-        elif self.phase in FORMATION_PHASES:
-            velocity = self._formation(now_ns, poses)
-        elif self.phase is Phase.STOP:
-            self._guide.rest()
-            if now_ns - self._phase_ns >= _STOP_NS:
-                self._enter(Phase.RETURN, now_ns)
-        elif self.phase is Phase.RETURN:
-            velocity = self._return(now_ns, poses)
-        elif self.phase is Phase.LAND:
-            velocity = self._land(now_ns, poses)
         elif self.phase is Phase.SILENT:
-            self._silent(now_ns)
+            self._come_down(now_ns)
+        elif self.phase in AIRBORNE_PHASES:
+            velocity = self._steer(now_ns, poses)
         streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
         velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
+
+    def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
+        """One tick of a phase in the air: the only place where a fault in our own mathematics is caught.
+
+        Whatever goes wrong there, the vehicles get a setpoint: to stand still. The team comes back, and where that
+        fails too it stands still until the time for it is over and then lands.
+        """
+        try:
+            if self.phase is Phase.TAKEOFF:
+                return self._takeoff(now_ns, poses)
+            if self.phase in FORMATION_PHASES:
+                return self._formation(now_ns, poses)
+            if self.phase is Phase.RETURN:
+                return self._return(now_ns, poses)
+            if self.phase is Phase.LAND:
+                return self._land(now_ns, poses)
+            self._guide.rest()
+            if now_ns - self._phase_ns >= _STOP_NS:
+                self._enter(Phase.RETURN, now_ns)
+        except Exception as error:
+            self._faults += 1
+            text = f"fault in the ground station, {type(error).__name__}: {error}"
+            if self._faults <= _FAULTS_NOTED:
+                self._note("alarm", f"{text}; standing still")
+            self._guide.rest()
+            self._give_up(text, now_ns)
+        return np.zeros((self.plan.size, 3))
 
     # Phases
 
@@ -299,21 +320,20 @@ class Runner:
     def _arm(self, now_ns: int, poses: Poses) -> None:
         if now_ns - self._phase_ns < _STREAM_FIRST_NS:
             return
-        limit_s = self.plan.spec.limits.arming_s
-        lost_ns = self.plan.spec.limits.pose_lost_s * _SECOND_NS
-        blind = np.flatnonzero(now_ns - self._frame.pose_ns(self.fleet) > lost_ns)
+        limits = self.plan.spec.limits
+        blind = np.flatnonzero(now_ns - self._frame.pose_ns(self.fleet) > limits.pose_lost_s * _SECOND_NS)
         problem = self._arming.started_anew()
         if problem is None and len(blind):
             name = f"vehicle {self.fleet.sysid[blind[0]]}"
-            problem = f"{name}: no position for {lost_ns / _SECOND_NS:g} s while the team was arming"
+            problem = f"{name}: no position for {limits.pose_lost_s:g} s while the team was arming"
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
             self._assign(poses)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
-        elif now_ns - self._phase_ns >= limit_s * _SECOND_NS:
-            self._give_up(self._arming.why_not(limit_s, self._said()), now_ns)
+        elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:
+            self._give_up(self._arming.why_not(limits.arming_s, self._said()), now_ns)
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
@@ -355,6 +375,9 @@ class Runner:
             if self._steady(now_ns):
                 if np.isnan(self.figures.time_to_form_s):
                     self.figures.time_to_form_s = (self._steady_since_ns - self._phase_ns) / _SECOND_NS
+                self.figures.converged = all(
+                    later.form is None for later in self.plan.spec.steps[self._step_index + 1 :]
+                )
                 self._next_step(now_ns, poses)
             return
         self._steady_since_ns = NEVER
@@ -367,42 +390,64 @@ class Runner:
 
     def _holding(self, step: HoldStep, error_m: float, now_ns: int, poses: Poses) -> None:
         self.figures.formation_error_m = float(np.fmax(self.figures.formation_error_m, error_m))
+        tolerance_m = next(
+            item.form.tolerance_m
+            for item in reversed(self.plan.spec.steps[: self._step_index])
+            if item.form is not None
+        )
+        if error_m <= _HOLD_TOLERANCE * tolerance_m:
+            self._steady_since_ns = NEVER
+        elif self._steady(now_ns):
+            self.figures.converged = False
+            self._give_up(
+                f"formation lost while holding: a distance is {error_m:.3f} m off, limit is"
+                f" {_HOLD_TOLERANCE:g} times the tolerance of {tolerance_m:g} m",
+                now_ns,
+            )
+            return
         if now_ns - self._phase_ns >= step.seconds * _SECOND_NS:
             self._next_step(now_ns, poses)
 
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
-        there = offset < max(_PAD_TOLERANCE_M, self._spread_m)
-        there |= ~self.fleet.armed | self._released | self._landing.asked
-        late = now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS
-        if bool(there.all()):
+        away = (offset >= max(_PAD_TOLERANCE_M, self._spread_m)) & self.fleet.armed
+        away &= ~(self._released | self._landing.asked | self._monitor.blind | self._landing.lost(now_ns))
+        if not away.any():
             if self._steady(now_ns):
                 self._enter(Phase.LAND, now_ns)
         else:
             self._steady_since_ns = NEVER
-            if late:
+            if now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
-        guidance = self._guide.to_targets(poses, self._gather_ned_m)
-        self._count_gridlocks(guidance.blocked, now_ns)
-        return guidance.vel_ned_m_s
+        setpoints = self._guide.to_targets(poses, self._gather_ned_m)
+        self._count_gridlocks(setpoints.blocked, now_ns)
+        return setpoints.vel_ned_m_s
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
-        limit_s = self.plan.spec.land.timeout_s + _LAND_SPARE_S
-        if self._landing.step(now_ns, poses, self._released):
-            if self._steady(now_ns, _DISARMED_NS):
-                self._finish(now_ns)
-            return np.zeros((self.plan.size, 3))
-        self._steady_since_ns = NEVER
-        if now_ns - self._phase_ns >= limit_s * _SECOND_NS:
-            self._abort(self._landing.still_armed(limit_s, self._released))
-            self._finish(now_ns)
+        if self._takeoff_ns == NEVER:
+            self._landing.disarm_on_the_ground(now_ns)
+        else:
+            self._landing.want(range(self.plan.size), now_ns)
+        self._come_down(now_ns)
         return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
 
-    def _silent(self, now_ns: int) -> None:
-        limit_s = self.plan.spec.land.timeout_s + _LAND_SPARE_S
-        if not self.fleet.armed.any() or now_ns - self._phase_ns >= limit_s * _SECOND_NS:
-            self._finish(now_ns)
+    def _come_down(self, now_ns: int) -> None:
+        """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
+        up = self._landing.still_up(self._phase_ns, now_ns, self._released)
+        late = now_ns - self._phase_ns >= _DOWN_MAX_NS
+        if up.any() and not late:
+            self._steady_since_ns = NEVER
+            return
+        if not late and not self._steady(now_ns, _DISARMED_NS):
+            return
+        names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.lost(now_ns))]
+        if names:
+            self._abort(f"{', '.join(names)}: not heard from any more, whether it has landed is not known")
+        if up.any():
+            names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
+            self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
+        self._finish(now_ns)
 
     # What the phases share
 
@@ -415,7 +460,6 @@ class Runner:
         if step.form is not None:
             self._enter(Phase.FORM, now_ns)
         else:
-            self.figures.converged = True
             self._enter(Phase.HOLD, now_ns)
 
     def _assign(self, poses: Poses) -> None:
@@ -446,44 +490,49 @@ class Runner:
         heights: FloatArray = self.plan.formation.points_enu_m[self.role_of_agent, 2]
         return heights
 
-    def _watch(self, now_ns: int) -> None:
+    def _watch(self, poses: Poses, now_ns: int) -> None:
         """Acts on what the monitors find in the air."""
         pose_ns, drift_m = self._frame.pose_ns(self.fleet), self._frame.drift_m(self.fleet, now_ns)
-        findings = self._monitor.look(self.fleet, now_ns, self._landing.asked, pose_ns, drift_m)
+        sight = Sight(poses.pos_team_ned_m, pose_ns, drift_m)
+        findings = self._monitor.look(self.fleet, sight, now_ns, self._landing.asked)
         for text in findings.alarms:
             self._note("alarm", text)
         for vehicle in findings.release:
             self._released[vehicle] = True
             self._station.commands.clear(vehicle)
-        for vehicle in findings.land:
-            if not self._landing.asked[vehicle] and not self._released[vehicle]:
-                self._station.commands.clear(vehicle)
-                self._landing.ask(vehicle, now_ns)
+        self._landing.want(findings.land, now_ns)
+        self._landing.step(now_ns, poses, self._released)
         if findings.abort and self.outcome is None:
             self._give_up(findings.abort, now_ns)
 
-    def _give_up(self, reason: str, now_ns: int) -> None:
-        """Ends the mission early: on the ground at once, in the air by way of the pads."""
+    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False) -> None:
+        """Ends the mission early: on the ground at once, in the air by way of the pads.
+
+        Args:
+            reason: for the report.
+            now_ns: time of the tick.
+            stop: stand still for a moment first; not when somebody may have to get out of another one's way.
+        """
         self._abort(reason)
         if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
         if self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
-            # Everybody is told, armed or not: an arming that is under way shows in a heartbeat up to a second later.
             for vehicle in range(self.plan.size):
                 self._station.commands.clear(vehicle)
-                self._station.commands.request(vehicle, self.plan.autopilots[vehicle].disarm())
             self._enter(Phase.LAND, now_ns)
         else:
             self._climb.under_way[:] = False
-            self._enter(Phase.STOP, now_ns)
+            self._enter(Phase.STOP if stop else Phase.RETURN, now_ns)
 
     def _abort(self, reason: str) -> None:
-        if self.outcome is None:
-            self.outcome = "aborted"
-            self.reason = reason
-            self._note("alarm", f"aborted: {reason}")
+        """Notes why the mission is not completed; a later reason is added to the first."""
+        if reason in self.reason:
+            return
+        self.outcome = "aborted"
+        self.reason = f"{self.reason}; {reason}" if self.reason else reason
+        self._note("alarm", f"aborted: {reason}")
 
     def _refuse(self, reasons: list[str], now_ns: int) -> None:
         self.outcome = "refused"
@@ -516,21 +565,22 @@ class Runner:
         for outcome in self._station.commands.take_outcomes():
             self._arming.heard(outcome)
             if not outcome.accepted and not outcome.command.asks:
+                if self._refused.get(outcome.vehicle) != outcome.words():  # once, not at every try
+                    self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
                 self._refused[outcome.vehicle] = outcome.words()
-                self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
         for text in self.fleet.take_texts():
             sysid = self.fleet.sysid[text.vehicle]
             self._note("info", f"vehicle {sysid} says: {text.text}")
-            if text.severity <= 4:
-                words = self._words.setdefault(text.vehicle, deque(maxlen=_WORDS_KEPT))
-                if text.text not in words:
-                    words.append(text.text)
+            words = self._words.setdefault(text.vehicle, deque(maxlen=_WORDS_KEPT))
+            if text.severity <= 4 and text.text not in words:
+                words.append(text.text)
 
     def _said(self) -> dict[int, str]:
         """What each vehicle refused and said of late."""
         said = {vehicle: [words] for vehicle, words in self._refused.items()}
         for vehicle, texts in self._words.items():
-            said.setdefault(vehicle, []).extend(f"it says: {text}" for text in texts)
+            if texts:
+                said.setdefault(vehicle, []).extend(f"it says: {text}" for text in texts)
         return {vehicle: ", ".join(parts) for vehicle, parts in said.items()}
 
     def _measure(self, poses: Poses) -> None:

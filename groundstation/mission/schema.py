@@ -7,11 +7,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-Point = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+def _no_boolean(value: Any) -> Any:
+    """Refuses booleans, which Python would take for 0 or 1."""
+    if isinstance(value, bool):
+        raise ValueError("input should be a valid number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_boolean), Field(allow_inf_nan=False)]
+Point = tuple[Number, Number, Number]
+Positive = Annotated[Number, Field(gt=0, le=10_000)]
+NotNegative = Annotated[Number, Field(ge=0, le=10_000)]
 
 
 class _Strict(BaseModel):
@@ -22,7 +31,7 @@ class ScaleSpec(_Strict):
     """f of (14): gain = 1/k of ``arctan`` or ``tanh``; ``free`` leaves the scale to the start."""
 
     kind: Literal["arctan", "tanh", "free"] = "arctan"
-    gain: Positive = 2.5
+    gain: Annotated[Number, Field(gt=0, le=100)] = 2.5
 
 
 class AvoidanceSpec(_Strict):
@@ -36,7 +45,7 @@ class AvoidanceSpec(_Strict):
 class TakeoffSpec(_Strict):
     """Height above the pads at which the team gathers, and how much roles that end higher start higher."""
 
-    height_m: Positive = 0.5
+    height_m: Annotated[Number, Field(ge=0.2, le=1_000)] = 0.5
     stagger_m: NotNegative = 0.0
     timeout_s: Positive = 20.0
 
@@ -93,7 +102,7 @@ class LimitsSpec(_Strict):
     arming_s: Positive = 60.0
     pad_error_m: Positive | None = None
     frame_drift_m: Positive | None = None
-    battery_min: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    battery_min: Annotated[Number, Field(ge=0, lt=1)] = 0.2
 
 
 class AnchorSpec(_Strict):
@@ -107,7 +116,7 @@ class AnchorSpec(_Strict):
 class VehicleSpec(_Strict):
     """One vehicle, its pad, and where its position counts from."""
 
-    id: Annotated[int, Field(ge=1, le=250)]
+    id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=1, le=250)]
     link: str
     autopilot: str = "px4"
     profile: str = "crazyflie"
@@ -126,16 +135,16 @@ class VehicleSpec(_Strict):
 class MissionSpec(_Strict):
     """The whole file."""
 
-    name: Annotated[str, Field(min_length=1, max_length=80)]
+    name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     formation: str
     formation_scale: Positive | None = None
     gains: str | None = None
-    rate_hz: Annotated[float, Field(ge=10, le=200)] = 50.0
-    speed_limit_m_s: Positive = 0.5
-    acceleration_limit_m_s2: Positive | None = None
-    gain: Literal["auto"] | Positive = "auto"
-    lead_s: Literal["auto"] | NotNegative = "auto"
-    upright_1_s: NotNegative = 1.0
+    rate_hz: Annotated[Number, Field(ge=10, le=200)] = 50.0
+    speed_limit_m_s: Annotated[Number, Field(ge=0.05, le=20)] = 0.5
+    acceleration_limit_m_s2: Annotated[Number, Field(ge=0.1, le=20)] | None = None
+    gain: Literal["auto"] | Annotated[Number, Field(gt=0, le=10)] = "auto"
+    lead_s: Literal["auto"] | Annotated[Number, Field(ge=0, le=10)] = "auto"
+    upright_1_s: Annotated[Number, Field(ge=0, le=100)] = 1.0
     scale: ScaleSpec = ScaleSpec()
     avoidance: AvoidanceSpec
     assignment: Literal["auto", "fixed"] = "auto"

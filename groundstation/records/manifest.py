@@ -15,7 +15,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -163,6 +163,28 @@ def manifest_beside(log: Path) -> Manifest | None:
     """
     path = manifest_path(log)
     return read_manifest(path) if path.exists() else None
+
+
+def claim_log(log: Path, replaceable: Callable[[Manifest], bool]) -> None:
+    """Makes sure that a new log may be written to a file, and makes its folder.
+
+    Args:
+        log: the file, ending in .tlog.
+        replaceable: says of the manifest of a log that lies there whether that log can be had again at any time.
+
+    Raises:
+        UserError: another ending, a log that has to be kept, or a folder that cannot be made.
+    """
+    if log.suffix != ".tlog":
+        raise UserError(f"{log}: logs end in .tlog; call it {log.with_suffix('.tlog')}")
+    if log.exists():
+        there = manifest_beside(log)
+        if there is None or not replaceable(there):
+            raise UserError(f"{log}: exists and is not written over; name another file or move it away")
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{log}: cannot make its folder: {error.strerror or error}; name another one") from error
 
 
 def _expect(path: Path, values: Mapping[str, Any], key: str, *kinds: type) -> Any:

@@ -30,6 +30,7 @@ class Flight:
         *,
         seed: int = 1,
         tamper: Tamper | None = None,
+        intrude: Callable[[Flight], tuple[str, bytes] | None] | None = None,
         interrupt_when: Callable[[Flight], bool] | None = None,
         log: Path | None = None,
         limit_s: float = 200.0,
@@ -48,6 +49,7 @@ class Flight:
         self.setpoints_when_silent: int | None = None
         self.meter = TruthMeter(self.world)
         self._tamper = tamper
+        self._intrude = intrude
         self._interrupt_when = interrupt_when
         self._interrupts = Interrupts()
         self._limit_ns = round(limit_s * SECOND_NS)
@@ -95,6 +97,9 @@ class Flight:
         self.notes += session.take_notes()
         if not self.phase_seen or self.phase_seen[-1] is not self.runner.phase:
             self.phase_seen.append(self.runner.phase)
+        intruder = self._intrude(self) if self._intrude is not None else None
+        if intruder is not None:
+            session.deliver(0, *intruder, now_ns)
         if self._interrupt_when is not None and self._interrupt_when(self):
             self._interrupts.interrupt()
         if now_ns >= self._limit_ns:

@@ -12,6 +12,7 @@ import pytest
 
 from groundstation.app import cli
 from groundstation.app.output import to_json
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, encode_batch
 
 FLY_KEYS = {
     "mission", "outcome", "reason", "vehicles", "converged", "time_to_form_s", "formation_error_m", "min_distance_m",
@@ -114,20 +115,66 @@ def test_wrong_usage_ends_with_2_and_a_message(
     assert not list(tmp_path.glob("*.tlog"))
 
 
-def test_a_truncated_log_is_read_up_to_its_last_whole_frame(
+def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
-    data = Path("a.tlog").read_bytes()
-    Path("a.tlog").write_bytes(data[: len(data) * 2 // 3 + 5])
+    whole = Path("a.tlog").read_bytes()
     code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
-    assert code == 0
-    assert json.loads(out.splitlines()[-1])["mismatches"] == 0
+    assert (code, json.loads(out.splitlines()[-1])["complete"]) == (0, True)
+    Path("a.tlog").write_bytes(whole[: len(whole) * 2 // 3 + 5])
+    for arguments in (["replay", "a.tlog", "--verify", "--json"], ["replay", "a.tlog", "--json"]):
+        code, out, err = _gs(arguments, monkeypatch, capsys)
+        values = json.loads(out.splitlines()[-1])
+        assert code == 1
+        assert values["vehicles"] == 8
+        assert values.get("mismatches", 0) == 0
+        assert not values.get("complete", False)
+        assert "no whole record" in err
+        assert "Traceback" not in err
+    # Cut between two records: nothing shows it but the manifest, which knows how long the flight was.
+    Path("a.tlog").write_bytes(whole[: whole.rindex(bytes([255, 190, 129, 1, 0]), 0, len(whole) // 2) - 5 - 8])
+    code, out, err = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    assert (code, json.loads(out.splitlines()[-1])["complete"]) == (1, False)
+    assert "ends before the flight does" in err
     Path("a.tlog").write_bytes(b"")
     code, _, err = _gs(["replay", "a.tlog", "--json"], monkeypatch, capsys)
-    assert code in (1, 2)
-    assert "Traceback" not in err
+    assert code == 2
+    assert "is empty" in err
+
+
+def test_a_command_that_was_changed_in_the_log_is_found_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)
+    data = Path("a.tlog").read_bytes()
+    start = data.index(bytes([255, 190, 76, 0, 0])) - 5
+    (command,) = FrameSplitter().feed(data[start : start + 12 + data[start + 1]])
+    assert isinstance(command, Frame)
+    values = decode([command])[0].values.copy()
+    values["param2"] += 1.0
+    (forged,) = encode_batch("COMMAND_LONG", values, [Encoder(255, 190, seq=command.seq)])
+    Path("a.tlog").write_bytes(data.replace(command.raw, forged, 1))
+    code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    assert (code, json.loads(out.splitlines()[-1])["mismatches"]) == (1, 1)
+
+
+def test_with_json_even_a_refusal_is_an_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = _gs(["fly", "--mission", "nowhere.yaml", "--json"], monkeypatch, capsys)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["exit_code"]) == (2, 2)
+    assert "nowhere.yaml: no such file" in values["error"]
+    assert values["error"] in err
+
+
+def test_the_version_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _gs(["--version"], monkeypatch, capsys)
+    assert (code, out.split()[0]) == (0, "gs")
 
 
 def test_the_log_of_a_real_flight_is_never_written_over(
@@ -138,6 +185,9 @@ def test_the_log_of_a_real_flight_is_never_written_over(
     code, _, err = _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", str(log)], monkeypatch, capsys)
     assert code == 2
     assert "not written over" in err
+    assert log.read_bytes() == b"precious"
+    code, _, err = _gs(["import", "crazyswarm", str(tmp_path), "-o", str(log)], monkeypatch, capsys)
+    assert code == 2
     assert log.read_bytes() == b"precious"
 
 

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
+from groundstation.mission.guidance import Guide, Poses, Setpoints
 from groundstation.mission.runner import Phase
 from sitl.world import Outgoing
 from tests.app.flights import SECOND_NS, Flight, cube8
@@ -189,29 +191,115 @@ def test_a_vehicle_that_stands_on_another_ones_pad_is_refused() -> None:
     assert "vehicle 2: reports a position 1.00 m from its pad, limit 0.3 m" in flight.runner.reason
 
 
-def test_a_vehicle_whose_position_stops_in_flight_lands_and_the_others_come_back() -> None:
+@pytest.mark.parametrize("vehicle", range(8))
+def test_a_vehicle_whose_position_stops_in_flight_lands_and_the_others_come_back(vehicle: int) -> None:
+    """Half of the cube hovers above the other half: whoever is below has to be gone before the blind one comes down."""
+
     def blind(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
-        if datagram.vehicle_index == 2 and Phase.HOLD in flight.phase_seen:
+        if datagram.vehicle_index == vehicle and Phase.HOLD in flight.phase_seen:
             return _without(datagram, POSITION)
         return [datagram]
 
     flight = Flight(cube8(), tamper=blind)
     assert flight.runner.outcome == "aborted"
-    assert flight.runner.reason.startswith("vehicle 3: no position for 1 s; it lands where it is")
-    assert any("vehicle 3: position is 0.5" in text and "holding" in text for text in flight.texts("alarm"))
+    assert flight.runner.reason.startswith(f"vehicle {vehicle + 1}: no position for 1 s; it lands where it is")
+    assert any("position is 0.5" in text and "holding" in text for text in flight.texts("alarm"))
     assert _all_down(flight)
+    assert flight.world.min_distance_airborne_m >= 0.45
     off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
-    assert np.delete(off_pad, 2).max() < 0.3
+    assert np.delete(off_pad, vehicle).max() < 0.3
+
+
+@pytest.mark.parametrize("vehicle", range(8))
+def test_a_vehicle_that_falls_silent_altogether_hits_nobody_and_is_not_waited_for(vehicle: int) -> None:
+    """Its link is dead both ways: a second later its own failsafe brings it straight down."""
+    dead: list[int] = []
+
+    class Cut(Flight):
+        def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
+            if not (dead and vehicle_index == vehicle):
+                super().receive(vehicle_index, data, now_ns)
+
+    def mute(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if flight.runner.phase is Phase.HOLD and not dead:
+            dead.append(datagram.t_ns)
+        return [] if dead and datagram.vehicle_index == vehicle else [datagram]
+
+    flight = Cut(cube8(), tamper=mute)
+    assert flight.runner.outcome == "aborted"
+    assert f"vehicle {vehicle + 1}: not heard from any more" in flight.runner.reason
+    assert _all_down(flight)
+    assert flight.world.min_distance_airborne_m >= 0.45
+
+
+def test_two_vehicles_with_one_id_are_named_and_nothing_is_armed() -> None:
+    twin = Encoder(3)
+
+    def intrude(flight: Flight) -> tuple[str, bytes] | None:
+        return ("elsewhere:1", twin.encode("HEARTBEAT", type=2)) if flight.now_ns > SECOND_NS else None
+
+    flight = Flight(cube8("limits.preflight_s=10"), intrude=intrude)
+    assert flight.runner.outcome == "refused"
+    assert flight.runner.reason.startswith(
+        "vehicle 3: two vehicles say that they are 3, at emulator:3 and elsewhere:1; give each vehicle its own id"
+    )
+    assert flight.runner.setpoints_sent == 0
+    assert not flight.world.truth.armed.any()
+
+
+def test_a_stranger_who_speaks_under_a_vehicles_id_in_flight_changes_nothing() -> None:
+    twin = Encoder(3)
+
+    def intrude(flight: Flight) -> tuple[str, bytes] | None:
+        forged = twin.encode("LOCAL_POSITION_NED", x=0.5, y=0.5, z=-1.0) + twin.encode("HEARTBEAT", type=2)
+        return ("elsewhere:1", forged) if Phase.TAKEOFF in flight.phase_seen else None
+
+    flight = Flight(cube8(), intrude=intrude)
+    assert flight.runner.outcome == "completed"
+    assert flight.runner.fleet.counts["second sender under a vehicle's id"] > 1000
+    assert flight.runner.fleet.peer[2] == "emulator:3"
+
+
+@pytest.mark.parametrize("broken", ["formation", "to_targets"])
+def test_a_fault_in_our_own_mathematics_never_leaves_a_vehicle_without_a_setpoint(
+    broken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sound = getattr(Guide, broken)
+
+    def faulty(self: Guide, poses: Poses, *rest: object) -> Setpoints:
+        if (poses.pos_team_ned_m[:, 2] < -0.45).all():
+            raise FloatingPointError("made up")
+        return cast("Setpoints", sound(self, poses, *rest))
+
+    monkeypatch.setattr(Guide, broken, faulty)
+    gaps: list[int] = []
+
+    def look(flight: Flight) -> bool:
+        gaps.append(flight.runner.setpoints_sent)
+        return False
+
+    flight = Flight(cube8("land.timeout_s=20", "takeoff.timeout_s=5"), interrupt_when=look)
+    assert flight.runner.outcome == "aborted"
+    assert "fault in the ground station, FloatingPointError: made up" in flight.runner.reason
+    assert _all_down(flight)
+    assert flight.world.min_distance_airborne_m >= 0.45
+    first = next(k for k, count in enumerate(gaps) if count)
+    sent = np.diff(gaps[first:])
+    landing = flight.runner.figures.ticks
+    assert (sent[: landing - first - 300] == 8).all()
 
 
 def test_a_heartbeat_that_stops_brings_everybody_back() -> None:
     def mute(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
-        if datagram.vehicle_index == 6 and flight.runner.phase in (Phase.FORM, Phase.HOLD):
+        if datagram.vehicle_index == 6 and Phase.FORM in flight.phase_seen:
             return _without(datagram, HEARTBEAT)
         return [datagram]
 
     flight = Flight(cube8(), tamper=mute)
-    assert flight.runner.reason == "vehicle 7: no heartbeat for 4 s; everybody comes back"
+    assert flight.runner.reason == (
+        "vehicle 7: no heartbeat for 4 s; everybody comes back; vehicle 7: not heard from any more,"
+        " whether it has landed is not known"
+    )
     assert _all_down(flight)
 
 

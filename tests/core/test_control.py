@@ -42,12 +42,6 @@ def test_example_1_to_the_digit() -> None:
     assert control.formation_control(views, task, FREE).tolist() == [[2.0, 1.0, 3.0]]
 
 
-def test_example_1_from_the_matrices_of_equation_4() -> None:
-    a12 = np.array([[2, -1, 0], [1, 2, 0], [0, 0, -1]])
-    a13 = np.array([[-1, 3, 0], [-3, -1, 0], [0, 0, 2]])
-    assert (a12 @ [2, 3, 1] + a13 @ [2, 1, 2]).tolist() == [2, 1, 3]
-
-
 def test_the_scale_function_pulls_when_too_far() -> None:
     views, task = example_1()
     rest = control.formation_control(views, task, ARCTAN) - control.formation_control(views, task, FREE)

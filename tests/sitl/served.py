@@ -25,10 +25,16 @@ def free_tcp_port() -> int:
 
 
 @contextlib.contextmanager
-def serving(*arguments: str, interrupt: signal.Signals = signal.SIGINT) -> Iterator[subprocess.Popen[str]]:
+def serving(
+    *arguments: str, interrupt: signal.Signals = signal.SIGINT, stdin: bool = False
+) -> Iterator[subprocess.Popen[str]]:
     """Runs ``gs sitl`` with these arguments; ends it as a user would, and checks that it ended cleanly."""
     process = subprocess.Popen(
-        [sys.executable, "-c", _MAIN, "sitl", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", _MAIN, "sitl", *arguments],
+        stdin=subprocess.PIPE if stdin else subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         assert process.stdout is not None

@@ -65,7 +65,7 @@ def design(
     if method == "closed-form" and 2 * len(shape.edges) != shape.size * (shape.size - 1):
         raise UserError("--method closed-form: the graph is not complete; use auto")
     start_ns = time.monotonic_ns()
-    with _watch(out, budget) as watch:
+    with interruptible(out, budget) as watch:
         result = design_gains(shape, method=method, gap=gap, watch=watch)
     seconds = (time.monotonic_ns() - start_ns) / 1e9
     values = summary(result, seconds) | values
@@ -103,7 +103,7 @@ def _check_options(
 
 
 @contextmanager
-def _watch(out: Output, budget: float | None) -> Iterator[Watch]:
+def interruptible(out: Output, budget: float | None) -> Iterator[Watch]:
     """Progress once a second; Ctrl-C or the end of the budget stop the method and keep the best so far."""
     interrupted: list[bool] = []
     start_ns = time.monotonic_ns()

@@ -26,7 +26,7 @@ from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
     DRY_RUN_EPOCH_UNIX_US,
     Manifest,
-    manifest_beside,
+    claim_log,
     manifest_path,
     versions,
     write_manifest,
@@ -121,23 +121,14 @@ def _period_ns(plan: MissionPlan) -> int:
 
 
 def _log_path(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: int) -> Path:
-    """Where to record; a log of a real flight is never written over.
+    """Where to record.
 
     Raises:
         UserError: the file exists and must be kept, or its folder cannot be made.
     """
     name = f"{plan.spec.name}-seed{seed}" if dry_run else f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = wanted or _FLIGHTS / f"{name}.tlog"
-    if path.suffix != ".tlog":
-        raise UserError(f"--log {path}: logs end in .tlog; call it {path.with_suffix('.tlog')}")
-    if path.exists():
-        there = manifest_beside(path)
-        if not dry_run or there is None or not there.dry_run:
-            raise UserError(f"--log {path}: exists and is not written over; name another file or move it away")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"--log {path}: cannot make its folder: {error.strerror or error}") from None
+    claim_log(path, lambda there: dry_run and there.dry_run)
     return path
 
 
@@ -159,7 +150,7 @@ def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realt
                 pace=wall_clock_pace() if realtime else None,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values))
+    write_manifest(manifest_path(log_path), manifest.finished(values | {"counts": dict(session.runner.fleet.counts)}))
     return values
 
 
@@ -180,9 +171,12 @@ def _real_flight(out: Output, plan: MissionPlan, log_path: Path, *, emulated_see
             fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
         values = _values(session.runner, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *_troubles(links)]) if values["reason"] else ""
+        counts = dict(session.runner.fleet.counts)
+        for url, link in zip(plan.links, links, strict=True):
+            counts[f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values))
+    write_manifest(manifest_path(log_path), manifest.finished(values | {"counts": counts}))
     return values
 
 

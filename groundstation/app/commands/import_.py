@@ -13,7 +13,7 @@ from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.design.store import load_formation
 from groundstation.records.imports import import_crazyswarm
-from groundstation.records.manifest import manifest_path, versions
+from groundstation.records.manifest import claim_log, manifest_path, versions
 from groundstation.records.replay import load_flight
 
 
@@ -46,6 +46,7 @@ def import_(
             "points": shape.points_enu_m.tolist(),
             "edges": [[i + 1, j + 1] for i, j in shape.edges],
         }
+    claim_log(output, lambda there: there.mission.get("source") == source.value)
     import_crazyswarm(folder, output, versions(), wanted, radius_m)
     flight = load_flight(output)
     values = {

@@ -53,17 +53,20 @@ def replay(
             "setpoints": result.setpoints,
             "mismatches": mismatches,
             "max_error_m_s": result.max_error_m_s,
+            "complete": result.complete,
         }
-    if flight.message is not None:
-        out.console.print(flight.message)
     out.console.print(_table(values))
     if target is not None:
         values["frames"] = _send(log, target, speed, out)
     out.result(values)
     if mismatches:
         raise MissionFailed(
-            f"{log}: {mismatches} of {values['setpoints']} setpoints differ from the recorded ones, by up to "
+            f"{log}: {mismatches} frames differ from the recorded ones, setpoints by up to "
             f"{values['max_error_m_s']:.3g} m/s; was it flown with another version? (versions in the manifest)"
+        )
+    if flight.message is not None or not values.get("complete", True):
+        raise MissionFailed(
+            f"{flight.message or f'{log}: ends before the flight does'}; the figures are of what is there"
         )
 
 
