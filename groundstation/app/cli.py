@@ -18,6 +18,7 @@ from groundstation.records.manifest import versions
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
+    "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),
     "check": ("fly", "Check a mission and its vehicles on their pads; arm nothing."),
     "design": ("design", "Design the gains of a formation."),
     "sitl": ("sitl", "Run emulated vehicles for any ground station."),

@@ -34,11 +34,12 @@ class Flight:
         interrupt_when: Callable[[Flight], bool] | None = None,
         log: Path | None = None,
         limit_s: float = 200.0,
+        config: WorldConfig | None = None,
         change: Callable[[WorldConfig], WorldConfig] | None = None,
         prepare: Callable[[World], None] | None = None,
     ) -> None:
         self.plan = plan
-        config = world_config(plan, seed)
+        config = config or world_config(plan, seed)
         self.world = World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)

@@ -1,0 +1,92 @@
+"""``gs vehicles``: what is there, and the block of a mission file that names it."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from typing import Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from groundstation.app.discovery import Discovery
+from groundstation.app.loop import FlightClock, Interrupts, Waiting
+from groundstation.app.output import Output
+from groundstation.core.errors import CheckFailed
+from groundstation.links.opening import open_link
+from groundstation.mavlink.addresses import parse_address
+
+_DEFAULT = ["udpin://0.0.0.0:14540"]
+_TICK_NS = 100_000_000
+
+
+def vehicles(
+    urls: Annotated[
+        list[str] | None, typer.Argument(help="Links to look at; udpin://0.0.0.0:14540 by default.")
+    ] = None,
+    *,
+    seconds: Annotated[float, typer.Option(help="How long to look.", min=0.5, max=600)] = 4.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+) -> None:
+    """Finds the vehicles on links and prints a ``vehicles:`` block for a mission file. Arms nothing."""
+    out = Output(as_json=as_json)
+    addresses = [parse_address(url) for url in dict.fromkeys(urls or _DEFAULT)]
+    discovery = Discovery(addresses)
+    interrupts = Interrupts()
+    with ExitStack() as stack:
+        links = [stack.enter_context(closing(open_link(address.url))) for address in addresses]
+        stack.enter_context(interrupts.listening())
+        waiting = stack.enter_context(Waiting(links))
+        clock = FlightClock()
+        now_ns = next_tick_ns = 0
+        while now_ns < seconds * 1e9 and not interrupts.count:
+            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
+                for peer, data in links[number].receive():
+                    discovery.receive(number, peer, data, clock.now_ns())
+            now_ns = clock.now_ns()
+            if now_ns >= next_tick_ns:
+                next_tick_ns = now_ns + _TICK_NS
+                for link in links:
+                    link.service(now_ns)
+                for sent in discovery.outgoing(now_ns):
+                    links[sent.link].send(sent.peer, b"".join(sent.frames))
+        troubles = [f"link {link.url}: {link.state}" for link in links if link.state]
+    found, doubles = discovery.vehicles(), discovery.doubles(now_ns)
+    _show(out, discovery, [*troubles, *doubles])
+    out.result(
+        {
+            "vehicles": [
+                {
+                    "id": item.sysid,
+                    "link": addresses[item.link].url,
+                    "autopilot": item.autopilot.name if item.autopilot else None,
+                    "version": item.version,
+                    "mode": item.mode_name,
+                    "armed": item.armed,
+                    "place": item.place_deg_m,
+                }
+                for item in found
+            ],
+            "problems": [*troubles, *doubles],
+            "block": discovery.block(),
+        }
+    )
+    if not found:
+        looked = ", ".join(address.url for address in addresses)
+        raise CheckFailed(
+            f"no vehicle was heard in {seconds:g} s on {looked}; is it switched on, and the address right?"
+        )
+
+
+def _show(out: Output, discovery: Discovery, problems: list[str]) -> None:
+    table = Table("id", "autopilot", "version", "mode", "armed", "place")
+    for item in discovery.vehicles():
+        name = item.autopilot.name if item.autopilot else f"MAV_AUTOPILOT {item.mav_autopilot}, not flown by gs"
+        place = item.place_deg_m
+        where = f"{place[0]:.6f} {place[1]:.6f} {place[2]:.1f} m" if place else "-"
+        table.add_row(str(item.sysid), name, item.version or "-", item.mode_name, "yes" if item.armed else "no", where)
+    out.console.print(table)
+    for problem in problems:
+        out.console.print(Text(problem, style="bold red"))
+    if discovery.found:
+        out.console.print(Text(discovery.block()))

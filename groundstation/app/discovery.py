@@ -1,0 +1,179 @@
+"""Finds what is on links: which vehicles, under which autopilots, where; bytes and times in, bytes out.
+
+Says hello, listens, asks for a position, and writes the ``vehicles:`` block of a mission. Arms nothing, reads no clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pymap3d
+import yaml
+
+from groundstation.mavlink.addresses import LinkAddress
+from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode
+from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
+
+_HELLO_NS = 500_000_000
+_TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
+_ARMED_FLAG = 0x80
+_PROFILES = {"px4": "px4_quad", "arducopter": "arducopter"}
+_STALE_NS = 3_000_000_000
+_FOUND_MAX = 1_000
+
+
+@dataclass
+class Found:
+    """One vehicle.
+
+    Attributes:
+        link: index of the link.
+        sysid: its system id.
+        autopilot: None for one that we do not know.
+        mav_autopilot: as its heartbeat says.
+        mode: its mode word.
+        armed: from the heartbeat.
+        heard_ns: last heartbeat by address, so that two under one id show.
+        place_deg_m: latitude, longitude, height; None before.
+        version: of the firmware, "" before.
+    """
+
+    link: int
+    sysid: int
+    autopilot: Autopilot | None
+    mav_autopilot: int
+    mode: int = 0
+    armed: bool = False
+    heard_ns: dict[str, int] = field(default_factory=dict)
+    place_deg_m: tuple[float, float, float] | None = None
+    version: str = ""
+
+    @property
+    def mode_name(self) -> str:
+        """Its mode for people."""
+        return self.autopilot.mode_name(self.mode) if self.autopilot else f"mode {self.mode}"
+
+    def addresses(self, now_ns: int) -> list[str]:
+        """Where it was heard in the last seconds; more than one means two vehicles."""
+        return sorted(peer for peer, t_ns in self.heard_ns.items() if now_ns - t_ns < _STALE_NS)
+
+
+class Discovery:
+    """A look around on some links.
+
+    Args:
+        addresses: of the links, in the order of their numbers.
+
+    Attributes:
+        found: by link and system id.
+    """
+
+    def __init__(self, addresses: Sequence[LinkAddress]) -> None:
+        self._addresses = addresses
+        self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
+        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._next_hello_ns = 0
+        self.found: dict[tuple[int, int], Found] = {}
+
+    def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
+        """Takes what came over a link."""
+        splitter = self._splitters.setdefault(
+            (link, peer), FrameSplitter(datagrams=not self._addresses[link].is_stream)
+        )
+        for piece in splitter.feed(data):
+            if isinstance(piece, Frame) and piece.compid == AUTOPILOT_COMPID and len(self.found) < _FOUND_MAX:
+                self._take(link, peer, piece, now_ns)
+
+    def _take(self, link: int, peer: str, frame: Frame, now_ns: int) -> None:
+        found = self.found.get((link, frame.sysid))
+        for batch in decode([frame]):
+            values = batch.values[0]
+            if batch.name == "HEARTBEAT" and values["type"] != _TYPE_GCS:
+                number = int(values["autopilot"])
+                kind = next((item for item in AUTOPILOTS.values() if item.mav_autopilot == number), None)
+                if found is None:
+                    found = self.found[link, frame.sysid] = Found(link, frame.sysid, kind, number)
+                found.mode, found.armed = int(values["custom_mode"]), bool(values["base_mode"] & _ARMED_FLAG)
+                found.heard_ns[peer] = now_ns
+            elif batch.name == "GLOBAL_POSITION_INT" and found is not None and (values["lat"] or values["lon"]):
+                found.place_deg_m = (values["lat"] * 1e-7, values["lon"] * 1e-7, values["alt"] * 1e-3)
+            elif batch.name == "AUTOPILOT_VERSION" and found is not None:
+                number = int(values["flight_sw_version"])
+                found.version = f"{number >> 24}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF}"
+
+    def outgoing(self, now_ns: int) -> list[Outgoing]:
+        """What is to be sent now: a heartbeat to everybody, and questions to those who did not say where they are."""
+        if now_ns < self._next_hello_ns:
+            return []
+        self._next_hello_ns = now_ns + _HELLO_NS
+        hello = self._encoder.encode(
+            "HEARTBEAT",
+            type=_TYPE_GCS,
+            autopilot=_AUTOPILOT_INVALID,
+            system_status=_STATE_ACTIVE,
+            mavlink_version=_MAVLINK_VERSION,
+        )
+        greeted = {(link, address.peer) for link, address in enumerate(self._addresses) if address.peer}
+        greeted |= {(found.link, peer) for found in self.found.values() for peer in found.heard_ns}
+        sent = [Outgoing(link, peer, (hello,)) for link, peer in sorted(greeted)]
+        for found in self.found.values():
+            for message, known in (("GLOBAL_POSITION_INT", found.place_deg_m), ("AUTOPILOT_VERSION", found.version)):
+                if found.autopilot is not None and not known:
+                    command = found.autopilot.once(message)
+                    params = {f"param{k}": value for k, value in enumerate(command.padded(), start=1)}
+                    raw = self._encoder.encode(
+                        "COMMAND_LONG",
+                        target_system=found.sysid,
+                        target_component=AUTOPILOT_COMPID,
+                        command=command.command,
+                        **params,
+                    )
+                    sent += [Outgoing(found.link, peer, (raw,)) for peer in found.heard_ns]
+        return sent
+
+    def vehicles(self) -> list[Found]:
+        """What was found, by system id."""
+        return sorted(self.found.values(), key=lambda item: (item.sysid, item.link))
+
+    def doubles(self, now_ns: int) -> list[str]:
+        """Words for system ids that more than one vehicle bears."""
+        lines = []
+        places: dict[int, list[str]] = {}
+        for found in self.vehicles():
+            url = self._addresses[found.link].url
+            places.setdefault(found.sysid, []).extend(f"{peer} on {url}" for peer in found.addresses(now_ns))
+        for sysid, where in places.items():
+            if len(where) > 1:
+                lines.append(
+                    f"system {sysid} is heard at {' and '.join(where)}; give each vehicle its own id, or open only one"
+                    " of its links"
+                )
+        return lines
+
+    def block(self) -> str:
+        """The ``vehicles:`` block of a mission: pads from the places where the vehicles stand, the first at 0, 0."""
+        known = [found for found in self.vehicles() if found.autopilot is not None]
+        first = next((found.place_deg_m for found in known if found.place_deg_m is not None), None)
+        entries = []
+        for found in known:
+            name = found.autopilot.name if found.autopilot else ""
+            pad = [0.0, 0.0, 0.0]
+            if first is not None and found.place_deg_m is not None:
+                east, north, _ = pymap3d.geodetic2enu(*found.place_deg_m, *first)
+                pad = [round(float(np.asarray(east)), 1) + 0.0, round(float(np.asarray(north)), 1) + 0.0, 0.0]
+            entries.append(
+                {
+                    "id": found.sysid,
+                    "link": self._addresses[found.link].url,
+                    "autopilot": name,
+                    "profile": _PROFILES.get(name, "px4_quad"),
+                    "pad_m": pad,
+                    "origin": "gps" if found.place_deg_m is not None else "pad",
+                }
+            )
+        lines = [yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000) for entry in entries]
+        return "vehicles:\n" + "".join(f"  - {line}" for line in lines)

@@ -1,0 +1,119 @@
+"""``gs vehicles``: what is there is found, named and ready for a mission file."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from collections.abc import Iterator
+from threading import Event, Thread
+
+import pytest
+import yaml
+
+from groundstation.app.cli import main
+from groundstation.app.discovery import Discovery
+from groundstation.mavlink.addresses import parse_address
+from groundstation.mavlink.codec import Encoder
+from groundstation.mission.schema import VehicleSpec
+from sitl.server import Server
+from sitl.world import VehicleConfig, World, WorldConfig
+
+MS = 1_000_000
+SECOND = 1_000_000_000
+
+
+def _world() -> World:
+    vehicles = [
+        VehicleConfig(sysid=3, autopilot="px4", pad_enu_m=(0.0, 0.0, 0.0)),
+        VehicleConfig(sysid=7, autopilot="arducopter", streams="ardupilot", pad_enu_m=(5.0, -2.0, 0.0)),
+    ]
+    return World(WorldConfig(vehicles), 1)
+
+
+def test_vehicles_of_both_kinds_are_found_with_their_places_as_a_block_for_a_mission() -> None:
+    world = _world()
+    discovery = Discovery([parse_address("udpin://0.0.0.0:14540")])
+    for tick in range(1, 200):
+        now_ns = tick * 20 * MS
+        for sent in world.advance(now_ns):
+            discovery.receive(0, f"emulator:{sent.vehicle_index}", sent.data, now_ns)
+        for out in discovery.outgoing(now_ns):
+            world.receive(int(out.peer.partition(":")[2]), b"".join(out.frames), now_ns)
+    entries = [VehicleSpec.model_validate(entry) for entry in yaml.safe_load(discovery.block())["vehicles"]]
+    assert [(entry.id, entry.autopilot, entry.origin) for entry in entries] == [
+        (3, "px4", "gps"),
+        (7, "arducopter", "gps"),
+    ]
+    assert math.dist(entries[1].pad_m, (5.0, -2.0, 0.0)) < 0.2
+    assert [item.version for item in discovery.vehicles()] == ["1.17.0", "4.7.0"]
+    assert discovery.doubles(4 * SECOND) == []
+
+
+def test_two_under_one_id_are_named_on_one_link_and_on_two() -> None:
+    discovery = Discovery([parse_address("udpin://0.0.0.0:14540"), parse_address("tcpout://10.0.0.1:5760")])
+    beat = Encoder(4).encode("HEARTBEAT", type=2, autopilot=12)
+    discovery.receive(0, "10.0.0.2:1", beat, SECOND)
+    assert discovery.doubles(SECOND) == []
+    discovery.receive(0, "10.0.0.3:1", beat, SECOND)
+    discovery.receive(1, "10.0.0.1:5760", beat, SECOND)
+    (line,) = discovery.doubles(2 * SECOND)
+    assert line.startswith("system 4 is heard at 10.0.0.2:1 on udpin://0.0.0.0:14540 and 10.0.0.3:1 on udpin")
+    assert "10.0.0.1:5760 on tcpout" in line
+    assert discovery.doubles(20 * SECOND) == []
+
+
+def test_strangers_are_shown_and_not_written_down() -> None:
+    discovery = Discovery([parse_address("udpin://0.0.0.0:14540")])
+    discovery.receive(0, "a", Encoder(255, 190).encode("HEARTBEAT", type=6, autopilot=8), 0)
+    discovery.receive(0, "b", Encoder(9).encode("HEARTBEAT", type=2, autopilot=4), 0)
+    assert [item.sysid for item in discovery.vehicles()] == [9]
+    assert yaml.safe_load(discovery.block())["vehicles"] is None
+
+
+@pytest.fixture
+def served() -> Iterator[int]:
+    """An ArduCopter that listens for TCP, and nothing else."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    stop = Event()
+    config = WorldConfig([VehicleConfig(sysid=5, autopilot="arducopter", streams="ardupilot")])
+    with Server(config, 1, tcp_port=port, udp=False) as server:
+        thread = Thread(target=server.run, args=(stop,), daemon=True)
+        thread.start()
+        yield port
+        stop.set()
+        thread.join()
+
+
+def _run(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr("sys.argv", ["gs", *arguments])
+    try:
+        main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_the_command_finds_a_vehicle_over_tcp(
+    served: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"tcpout://127.0.0.1:{served}"
+    assert _run(["vehicles", url, "--seconds", "3", "--json"], monkeypatch) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    (vehicle,) = answer["vehicles"]
+    assert (vehicle["id"], vehicle["autopilot"], vehicle["link"]) == (5, "arducopter", url)
+    assert yaml.safe_load(answer["block"])["vehicles"][0]["id"] == 5
+
+
+def test_nobody_there_is_said_with_what_is_wrong_with_the_link(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        url = f"tcpout://127.0.0.1:{closed.getsockname()[1]}"
+        assert _run(["vehicles", url, "--seconds", "0.5"], monkeypatch) == 1
+    captured = capsys.readouterr()
+    assert "cannot connect: Connection refused" in captured.out
+    assert "no vehicle was heard in 0.5 s" in captured.err
