@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from threading import Event, Thread
-from urllib.parse import urlsplit
+from threading import Thread
 
 import numpy as np
 
@@ -66,19 +65,16 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
 
 @contextmanager
 def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
-    """Runs an emulator behind UDP sockets that send to the mission's links, in a thread, for ``--udp``.
+    """Runs an emulator behind sockets at the other end of the mission's links, in a thread, for ``--udp``.
 
     Raises:
-        UserError: the links are neither one port for all nor consecutive ports in the order of the vehicles.
+        UserError: the links are of kinds, or on ports, that the emulator's sockets do not reach.
     """
-    ports = [urlsplit(vehicle.link).port or 0 for vehicle in plan.spec.vehicles]
-    shared = len(set(ports)) == 1
-    if not shared and ports != list(range(ports[0], ports[0] + len(ports))):
-        raise UserError(
-            f"{plan.source}: vehicles: ports {ports}: --udp emulates one port for all vehicles, or consecutive ports"
-        )
-    stop = Event()
-    with Server(world_config(plan, seed), seed, port=ports[0], port_per_vehicle=not shared) as server:
+    ports, tcp_port = _ports(plan)
+    port_per_vehicle = len(set(ports)) > 1
+    with Server(
+        world_config(plan, seed), seed, port=ports[0], port_per_vehicle=port_per_vehicle, tcp_port=tcp_port
+    ) as server:
         thread = Thread(target=server.run, args=(stop,), name="emulator", daemon=True)
         thread.start()
         try:
@@ -86,6 +82,32 @@ def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
         finally:
             stop.set()
             thread.join()
+
+
+def _ports(plan: MissionPlan) -> tuple[list[int], int | None]:
+    """UDP port per vehicle, and the TCP port of the first vehicle, None without TCP.
+
+    Vehicle i of the emulator sends to one UDP port, or to that of the first vehicle + i, and listens for TCP on a port
+    + 10 i, as ArduPilot's SITL does.
+    """
+    addresses = [plan.addresses[link] for link in plan.link_of_vehicle]
+    for number, address in enumerate(addresses):
+        if address.kind not in ("udpin", "tcpout"):
+            raise UserError(
+                f"{plan.source}: vehicles[{number}].link: {address.url}: --udp emulates vehicles behind udpin:// and"
+                f" tcpout:// only; add --set vehicles.{number}.link=udpin://127.0.0.1:14540"
+            )
+    udp = {number: address.port for number, address in enumerate(addresses) if address.kind == "udpin"}
+    first = {address.port - 10 * number for number, address in enumerate(addresses) if address.kind == "tcpout"}
+    if len(first) > 1:
+        raise UserError(f"{plan.source}: vehicles: --udp emulates TCP ports that rise by 10 from vehicle to vehicle")
+    shared = next(iter(udp.values()), 14540)
+    ports = [udp.get(number, shared) for number in range(plan.size)]
+    if len(set(ports)) > 1 and ports != list(range(ports[0], ports[0] + len(ports))):
+        raise UserError(
+            f"{plan.source}: vehicles: ports {ports}: --udp emulates one port for all vehicles, or consecutive ports"
+        )
+    return ports, next(iter(first), None)
 
 
 class TruthMeter:

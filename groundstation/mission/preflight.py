@@ -137,7 +137,7 @@ class Preflight:
         plan = self._plan
         rates = plan.rates_of(vehicle)
         wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.pose_hz}
-        wanted |= _STATUS_NARROW_HZ if rates.narrow else _STATUS_HZ
+        wanted |= _STATUS_NARROW_HZ if rates.limited else _STATUS_HZ
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
             wanted["GLOBAL_POSITION_INT"] = _CROSS_CHECK_HZ
         return wanted
@@ -177,7 +177,7 @@ class Preflight:
         rates, autopilot = self._rates[vehicle], self._plan.autopilots[vehicle]
         rates.asked_ns, rates.window_ns = now_ns, NEVER
         wanted = self.wanted_hz(vehicle)
-        if self._plan.rates_of(vehicle).narrow:
+        if self._plan.rates_of(vehicle).limited:
             for message in autopilot.chatter:
                 if message not in wanted:
                     self._station.commands.request(vehicle, autopilot.silence(message))

@@ -170,7 +170,7 @@ class Runner:
             [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(n)]
         )
         for link, rates in enumerate(plan.rates):
-            if rates.narrow:
+            if rates.limited:
                 self._note("info", rates.words(plan.links[link], plan.link_of_vehicle.count(link)))
 
     # What comes in
