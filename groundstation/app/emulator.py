@@ -72,6 +72,7 @@ def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
     """
     ports, tcp_port = _ports(plan)
     port_per_vehicle = len(set(ports)) > 1
+    stop = Event()
     with Server(
         world_config(plan, seed), seed, port=ports[0], port_per_vehicle=port_per_vehicle, tcp_port=tcp_port
     ) as server:
