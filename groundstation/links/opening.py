@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from groundstation.core.errors import UserError
 from groundstation.links.link import Link
 from groundstation.links.tcp import TcpClientLink, TcpServerLink
 from groundstation.links.udp import open_udp
@@ -23,7 +22,9 @@ def open_link(url: str) -> Link:
     """
     address = parse_address(url)
     if address.through_mavsdk:
-        raise UserError(f"link {url}: links through MAVSDK are not there yet; leave mavsdk:// out")
+        from groundstation.links.mavsdk_link import MavsdkLink  # noqa: PLC0415 - loads a native library
+
+        return MavsdkLink(address)
     if address.kind == "serial":
         from groundstation.links.serial_port import SerialLink  # noqa: PLC0415 - most flights have no serial port
 

@@ -50,7 +50,7 @@ class LinkAddress:
 
     @property
     def peer(self) -> str:
-        """Name of the other end where it is known before it speaks, "" on a listening link."""
+        """Name of the other end where it is known before it speaks, "" on a listening link; MAVSDK is always there."""
         if self.through_mavsdk or self.kind == "serial":
             return self.device or f"{self.host}:{self.port}"
         return f"{self.host}:{self.port}" if self.kind in ("udpout", "tcpout") else ""
