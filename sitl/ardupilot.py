@@ -10,18 +10,24 @@ import math
 from typing import TYPE_CHECKING, ClassVar
 
 from groundstation.mavlink.codec import Frame
-from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot, Setpoint
+from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot
 from sitl.frames import is_place
 from sitl.params import ardupilot_params
 from sitl.protocol import (
     ACCEPTED,
     DENIED,
     FAILED,
+    MSG_ATT_POS_MOCAP,
+    MSG_ODOMETRY,
     MSG_REQUEST_DATA_STREAM,
     MSG_SET_GPS_GLOBAL_ORIGIN,
     MSG_SET_MODE,
     MSG_SET_POSITION_TARGET_LOCAL_NED,
+    MSG_VICON_POSITION_ESTIMATE,
+    MSG_VISION_POSITION_ESTIMATE,
 )
+from sitl.setpoints import NOTHING, Setpoint, read_ardupilot
+from sitl.vision import LOCAL_FRD, Vision
 from sitl.wire import Fields, whole
 
 if TYPE_CHECKING:
@@ -41,8 +47,7 @@ _GUIDED_FLAG = _NEED_POSITION
 CRITICAL, WARNING, INFO = 2, 4, 6
 _SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x10000 | 0x200000
 _PREARM = 0x10000000
-_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
-_SPEED_SANE_M_S = 1000.0
+_EXTERNAL_NAV = 6
 
 DATA_STREAMS: dict[int, tuple[str, ...]] = {
     1: ("RAW_IMU", "SCALED_PRESSURE"),
@@ -90,6 +95,11 @@ class ArduCopter(Autopilot):
                 MSG_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
                 MSG_REQUEST_DATA_STREAM: self._on_data_stream,
             }
+        )
+        self.vision = Vision(
+            self,
+            (MSG_VISION_POSITION_ESTIMATE, MSG_VICON_POSITION_ESTIMATE, MSG_ATT_POS_MOCAP, MSG_ODOMETRY),
+            (LOCAL_FRD,),
         )
         self.commands.update(
             {
@@ -170,7 +180,7 @@ class ArduCopter(Autopilot):
             return f"Arm: {NAMES[self.mode]} mode not armable"
         if self.mode in _NEED_POSITION and not self.position_good:
             return "PreArm: Need Position Estimate"
-        if self.battery.percent() < self.params["ARMING_MIN_BATT"]:
+        if self.params["ARMING_CHECK"] and self.battery.percent() < self.params["ARMING_MIN_BATT"]:
             return "PreArm: Battery 1 below minimum arming capacity"
         return None
 
@@ -263,7 +273,7 @@ class ArduCopter(Autopilot):
         x, y, z = self.world.geodesy.enu_from_geodetic(lat, lon, alt).tolist()
         self._entered, self.taking_off_to = GUIDED, None
         self.limit_speed()
-        self.setpoint = Setpoint(self.world.now_ns, (x, y, z), (None, None, None), None, None)
+        self.setpoint = Setpoint(self.world.now_ns, (x, y, z), NOTHING, None, None)
         self._fly_setpoint()
         return ACCEPTED
 
@@ -272,37 +282,11 @@ class ArduCopter(Autopilot):
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
         if self.mode != GUIDED or self.taking_off_to is not None:
             return
-        frame, mask = fields["coordinate_frame"], fields["type_mask"]
-        if frame not in (_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET):
+        origin = self.world.origin_enu_m[:, self.index].tolist()
+        self.setpoint = read_ardupilot(fields, self.world.now_ns, origin, self.pos_est(), self.yaw_enu())
+        if self.setpoint is None:
             self._stop()
-            return
-        # any ignored axis ignores its whole triple
-        pos = None if mask & 0x7 else [fields[name] for name in ("x", "y", "z")]
-        vel = None if mask & 0x38 else [fields[name] for name in ("vx", "vy", "vz")]
-        if pos is None and vel is None:
-            self._stop()
-            return
-        numbers = (pos or []) + (vel or [])
-        if not all(map(math.isfinite, numbers)) or any(abs(v) > _SPEED_SANE_M_S for v in vel or ()):
-            self._stop()
-            return
-        # heading from north is pi/2 - yaw: its cosine is the sine of the heading from east
-        c, s = math.sin(self.yaw_enu()), math.cos(self.yaw_enu())
-        if frame in (_BODY, _BODY_OFFSET):
-            for triple in (pos, vel):
-                if triple is not None:
-                    triple[:2] = [c * triple[0] - s * triple[1], s * triple[0] + c * triple[1]]
-        target: tuple[float | None, float | None, float | None] = (None, None, None)
-        if pos is not None:
-            base = self.world.origin_enu_m[:, self.index].tolist() if frame == _LOCAL else self.pos_est()
-            target = (base[0] + pos[1], base[1] + pos[0], base[2] - pos[2])
-        speed: tuple[float | None, float | None, float | None] = (None, None, None)
-        if vel is not None:
-            speed = (vel[1], vel[0], -vel[2])
-        yaw = None if mask & 0x400 or not math.isfinite(fields["yaw"]) else math.pi / 2.0 - fields["yaw"]
-        rate = None if mask & 0x800 or not math.isfinite(fields["yaw_rate"]) else -fields["yaw_rate"]
-        self.setpoint = Setpoint(self.world.now_ns, target, speed, yaw, rate if yaw is None else None)
-        if self.armed and not self.landed:
+        elif self.armed and not self.landed:
             self._entered = GUIDED
             self._fly_setpoint()
 
@@ -316,7 +300,7 @@ class ArduCopter(Autopilot):
         """Brakes and holds, staying in GUIDED."""
         self.setpoint = None
         if self.armed and not self.landed:
-            self.command((None, None, None), (None, None, None))
+            self.command(NOTHING, NOTHING)
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Takes an origin only while there is none; bad values fail without a word."""
@@ -417,7 +401,7 @@ class ArduCopter(Autopilot):
         elif entering:
             self._hold = self.pos_est()
             self.limit_speed()
-            self.command(self._hold, (None, None, None))
+            self.command(self._hold, NOTHING)
 
     def _act_guided(self, entering: bool, now_ns: int) -> None:
         x, y, z = self.pos_est()
@@ -426,7 +410,7 @@ class ArduCopter(Autopilot):
             if entering:
                 self._hold = (x, y, top)
                 self.limit_speed(up=self.params["WPNAV_SPEED_UP"] / 100.0)
-                self.command(self._hold, (None, None, None))
+                self.command(self._hold, NOTHING)
             if not self.landed and z > top - 0.1:
                 self.taking_off_to = None
             return
@@ -434,13 +418,13 @@ class ArduCopter(Autopilot):
             self._hold = (x, y, z)
             self.limit_speed()
             if self.setpoint is None:
-                self.command(self._hold, (None, None, None))
+                self.command(self._hold, NOTHING)
         point = self.setpoint
         if point is None or point.pos_enu_m[0] is not None or self._braked:
             return
         if now_ns - point.t_ns > self.params["GUID_TIMEOUT"] * SECOND:
             self._braked = True  # the last velocity has been kept until now; brakes and hovers, no word of it
-            self.command((None, None, None), (None, None, None))
+            self.command(NOTHING, NOTHING)
 
     def _act_land(self, entering: bool) -> None:
         x, y, z = self.pos_est()
@@ -469,7 +453,15 @@ class ArduCopter(Autopilot):
         if self._rtl_stage == 2:
             self._act_land(False)
         else:
-            self.command(self._hold, (None, None, None))
+            self.command(self._hold, NOTHING)
+
+    def vision_enabled(self) -> bool:
+        """VISO_TYPE is set and the estimator's first source is the external one."""
+        return self.params["VISO_TYPE"] > 0 and self.params["EK3_SRC1_POSXY"] == _EXTERNAL_NAV
+
+    def vision_has_origin(self) -> bool:
+        """The origin has to be set from outside first."""
+        return bool(self.world.has_origin[self.index])
 
     first_item_is_home = True
 

@@ -16,10 +16,12 @@ from sitl.frames import is_place
 from sitl.mission import MissionFlight
 from sitl.params import ParamSet
 from sitl.protocol import ACCEPTED, DENIED, UNSUPPORTED, Protocol
+from sitl.setpoints import NOTHING, Setpoint, Triple
 from sitl.telemetry import RATES_HZ
 from sitl.wire import whole
 
 if TYPE_CHECKING:
+    from sitl.vision import Vision
     from sitl.world import VehicleConfig, World
 
 SECOND = 1_000_000_000
@@ -50,24 +52,6 @@ class Boot:
     deaf_ns: int
 
 
-@dataclass(frozen=True)
-class Setpoint:
-    """What a ground station asked for last, in the world's ENU frame as the vehicle believes it.
-
-    Attributes:
-        t_ns: arrival.
-        pos_enu_m: None on each axis that is not held.
-        vel_enu_m_s: None on each axis without.
-        yaw_enu_rad, yaw_rate_rad_s: None where not given.
-    """
-
-    t_ns: int
-    pos_enu_m: tuple[float | None, float | None, float | None]
-    vel_enu_m_s: tuple[float | None, float | None, float | None]
-    yaw_enu_rad: float | None
-    yaw_rate_rad_s: float | None
-
-
 class Autopilot(Protocol):
     """One vehicle's flight state.
 
@@ -89,6 +73,7 @@ class Autopilot(Protocol):
         self.taken_off = False
         self.setpoint: Setpoint | None = None
         self.deny_arming = False
+        self.vision: Vision | None = None
         self._beating = False
         self._contact_since_ns: int | None = None
         endurance = world.profile_of(index).hover_endurance_s
@@ -148,6 +133,14 @@ class Autopilot(Protocol):
 
     first_item_is_home = False
 
+    def vision_enabled(self) -> bool:
+        """Whether the parameters let the estimator take positions from outside."""
+        raise NotImplementedError
+
+    def vision_has_origin(self) -> bool:
+        """Whether positions from outside may be used before somebody has set an origin."""
+        return True
+
     def mission_over(self) -> None:
         """Called every tick after the last item of a mission."""
 
@@ -200,11 +193,15 @@ class Autopilot(Protocol):
             world.send_now(i, "HEARTBEAT")
         if not world.has_position[i]:
             self._look_for_position()
+        if self.vision is not None:
+            self.vision.tick(now_ns)
         self.battery.drain(float(world.dynamics.thrust_m_s2[i]) / 9.80665 * self.armed, dt_s)
         if self.battery.left <= 0.0:
             world.dynamics.thrust_share[i] = 0.0
         if self._param_queue:
             self.send_queued_params()
+        if self._upload is not None:
+            self.ask_again()
         self._detect_landing(now_ns)
         self.update(now_ns)
 
@@ -232,7 +229,8 @@ class Autopilot(Protocol):
         if not world.has_origin[i]:
             self.origin_found()
         world.has_position[i] = True
-        world.home_enu_m[:, i] = self.pos_est()
+        if self.landed:
+            world.home_enu_m[:, i] = self.pos_est()
 
     # -- estimates ----------------------------------------------------------------------------------------------
 
@@ -254,8 +252,8 @@ class Autopilot(Protocol):
 
     def command(
         self,
-        pos_enu_m: tuple[float | None, float | None, float | None],
-        vel_enu_m_s: tuple[float | None, float | None, float | None],
+        pos_enu_m: Triple,
+        vel_enu_m_s: Triple,
         yaw_enu_rad: float | None = None,
         yaw_rate_rad_s: float | None = None,
     ) -> None:
@@ -302,7 +300,7 @@ class Autopilot(Protocol):
         self.armed, self.armed_ns, self.taken_off = True, now_ns, False
         if self.landed:
             self.world.home_enu_m[:, self.index] = self.pos_est()
-            self.command((None, None, None), (None, None, None))
+            self.command(NOTHING, NOTHING)
 
     def disarm(self) -> None:
         """Stops the motors at once, wherever the vehicle is."""

@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING
 
 from sitl.frames import is_place
+from sitl.setpoints import NOTHING
 from sitl.wire import Fields
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class MissionFlight:
         now_ns = pilot.world.now_ns
         if self._target is None:
             self._target, self._reached_ns = self._place(item), None
-            pilot.command(self._target, (None, None, None))
+            pilot.command(self._target, NOTHING)
             pilot.send("MISSION_CURRENT", seq=pilot.mission_seq, total=len(pilot.mission))
         if math.dist(self._target, pilot.pos_est()) > _REACHED_M:
             return

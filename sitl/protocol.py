@@ -24,6 +24,8 @@ _TEXT_BYTES = 50
 _PARAMS_PER_TICK = 20  # about 1000 a second, as PX4 was seen to send them
 _TYPE_GCS = 6
 V1_LAST_ID = 255
+_ITEM_PATIENCE_NS = 250_000_000
+_ITEM_TRIES = 20
 
 MSG_HEARTBEAT, MSG_PING, MSG_SET_MODE = 0, 4, 11
 MSG_PARAM_REQUEST_READ, MSG_PARAM_REQUEST_LIST, MSG_PARAM_SET = 20, 21, 23
@@ -322,6 +324,7 @@ class Protocol:
     def _ask_item(self, frame: Frame) -> None:
         upload = self._upload
         if upload is not None:
+            upload["asked_ns"], upload["from"] = self.world.now_ns, frame
             self.send(
                 "MISSION_REQUEST_INT",
                 target_system=frame.sysid,
@@ -348,6 +351,18 @@ class Protocol:
             self._mission_ack(0, frame)
         else:
             self._ask_item(frame)
+
+    def ask_again(self) -> None:
+        """Repeats the request for a mission item that has not come; gives an upload up after a while."""
+        upload = self._upload
+        if upload is None or self.world.now_ns - upload["asked_ns"] < _ITEM_PATIENCE_NS:
+            return
+        upload["tries"] = 0 if len(upload["items"]) != upload.get("stuck_at") else upload["tries"] + 1
+        upload["stuck_at"] = len(upload["items"])
+        if upload["tries"] >= _ITEM_TRIES:
+            self._upload = None
+            return
+        self._ask_item(upload["from"])
 
     def _on_mission_clear(self, _fields: Fields, frame: Frame) -> None:
         self.mission = []

@@ -10,17 +10,21 @@ import math
 from typing import TYPE_CHECKING, ClassVar
 
 from groundstation.mavlink.codec import Frame
-from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot, Setpoint
+from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot
 from sitl.frames import is_place
 from sitl.params import px4_params
 from sitl.protocol import (
     ACCEPTED,
     DENIED,
+    MSG_ODOMETRY,
     MSG_SET_GPS_GLOBAL_ORIGIN,
     MSG_SET_MODE,
     MSG_SET_POSITION_TARGET_LOCAL_NED,
+    MSG_VISION_POSITION_ESTIMATE,
     TEMPORARILY_REJECTED,
 )
+from sitl.setpoints import NOTHING, read_px4
+from sitl.vision import LOCAL_FRD, LOCAL_NED, Vision
 from sitl.wire import Fields, whole
 
 if TYPE_CHECKING:
@@ -39,6 +43,7 @@ _NEED_POSITION = {POSCTL, OFFBOARD, TAKEOFF, LOITER, MISSION, RTL, LAND}
 CRITICAL, INFO = 2, 6
 WARNING = 4
 _SINK_M_S = 0.55
+_SLOW_CHECKS = 5  # what need not be looked at every 20 ms
 _BATTERY_LEVELS = (
     ("BAT_LOW_THR", WARNING, "Low battery level, return advised\t"),
     ("BAT_CRIT_THR", CRITICAL, "Critical battery level, return now\t"),
@@ -46,7 +51,6 @@ _BATTERY_LEVELS = (
 )
 _SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x8000 | 0x1000000 | 0x2000000  # gyro, accel, mag, baro, gps, motors, ...
 _AHRS, _PREARM = 0x200000, 0x10000000
-_FRAME_LOCAL, _FRAME_BODY = 1, 8
 
 
 class Px4(Autopilot):
@@ -77,6 +81,7 @@ class Px4(Autopilot):
         self._takeoff_to: tuple[float, float, float] | None = None
         self._rtl_stage = 0
         self._battery_told = 0
+        self._ticks = 0
         self.messages.update(
             {
                 MSG_SET_MODE: self._on_set_mode,
@@ -84,6 +89,8 @@ class Px4(Autopilot):
                 MSG_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
             }
         )
+        # ATT_POS_MOCAP is not among them
+        self.vision = Vision(self, (MSG_VISION_POSITION_ESTIMATE, MSG_ODOMETRY), (LOCAL_NED, LOCAL_FRD))
         self.commands.update(
             {
                 20: lambda _p, _f: self._change_mode(RTL),
@@ -265,46 +272,22 @@ class Px4(Autopilot):
             z = alt - self.world.config.home_alt_m
         self._change_mode(LOITER)
         self._entered, self._hold = LOITER, (x, y, z)
-        self.command(self._hold, (None, None, None))
+        self.command(self._hold, NOTHING)
         return ACCEPTED
 
     # -- setpoints ----------------------------------------------------------------------------------------------
 
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
-        frame = fields["coordinate_frame"]
-        if frame not in (_FRAME_LOCAL, _FRAME_BODY):
-            self.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {frame} unsupported\t")
-            return
-        mask = fields["type_mask"]
-        north, east, down = (
-            None if mask & (8 << axis) or not math.isfinite(fields[name]) else fields[name]
-            for axis, name in enumerate(("vx", "vy", "vz"))
-        )
-        x, y, z = (
-            None if mask & (1 << axis) or not math.isfinite(fields[name]) else fields[name]
-            for axis, name in enumerate(("x", "y", "z"))
-        )
-        yaw_enu = self.yaw_enu()
-        if frame == _FRAME_BODY:
-            x = y = z = None  # positions in the body frame are not supported
-            if north is not None and east is not None:
-                # forward and right turned by the heading alone; heading from east is pi/2 - yaw
-                c, s = math.sin(yaw_enu), math.cos(yaw_enu)
-                north, east = c * north - s * east, s * north + c * east
-        if north is None and east is None and down is None and x is None and y is None and z is None:
-            return
         origin = self.world.origin_enu_m[:, self.index].tolist()
-        pos = (
-            None if y is None else origin[0] + y,
-            None if x is None else origin[1] + x,
-            None if z is None else origin[2] - z,
-        )
-        vel = (east, north, None if down is None else -down)
-        yaw = None if mask & 0x400 or not math.isfinite(fields["yaw"]) else math.pi / 2.0 - fields["yaw"]
-        rate = None if mask & 0x800 or not math.isfinite(fields["yaw_rate"]) else -fields["yaw_rate"]
-        self.setpoint = Setpoint(self.world.now_ns, pos, vel, yaw, rate if yaw is None else None)
-        if self.mode == OFFBOARD and self.armed:
-            self._fly_setpoint()
+        try:
+            point = read_px4(fields, self.world.now_ns, origin, self.yaw_enu())
+        except ValueError as error:
+            self.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED {error}\t")
+            return
+        if point is not None:
+            self.setpoint = point
+            if self.mode == OFFBOARD and self.armed:
+                self._fly_setpoint()
 
     def _fly_setpoint(self) -> None:
         point = self.setpoint
@@ -353,8 +336,11 @@ class Px4(Autopilot):
             return
         self._check_offboard()
         self._check_estimate()
-        self._check_battery()
-        self._check_data_link(now_ns)
+        self._ticks += 1
+        if self._ticks % _SLOW_CHECKS == 0:
+            self._check_battery()
+            self._check_data_link(now_ns)
+            self._check_sticks()
         self._disarm_by_itself(now_ns)
         if not self.armed:
             return
@@ -412,6 +398,13 @@ class Px4(Autopilot):
         if now_ns - heard > self.params["COM_DL_LOSS_T"] * SECOND:
             self._fail_to(mode)
 
+    def _check_sticks(self) -> None:
+        """There are none: OFFBOARD goes on only while COM_RCL_EXCEPT excepts it."""
+        mode = {1: LOITER, 2: RTL, 3: LAND}.get(whole(self.params["NAV_RCL_ACT"]))
+        excepted = whole(self.params["COM_RCL_EXCEPT"]) & 4
+        if mode is not None and not excepted and self.mode == OFFBOARD and not self.landed:
+            self._fail_to(mode)
+
     def _disarm_by_itself(self, now_ns: int) -> None:
         if not self.landed:
             return
@@ -447,13 +440,13 @@ class Px4(Autopilot):
             if self.failsafe is not None:
                 self.command((x, y, None), (None, None, -_SINK_M_S))
             else:
-                self.command((x, y, z), (None, None, None))
+                self.command((x, y, z), NOTHING)
 
     def _act_takeoff(self, entering: bool) -> None:
         target = self._takeoff_to or self.pos_est()
         if entering:
             self.limit_speed(up=self.params["MPC_TKO_SPEED"])
-            self.command(target, (None, None, None))
+            self.command(target, NOTHING)
         x, y, z = self.pos_est()
         start = float(self.world.dynamics.ground_m[self.index])
         if not self.landed and z > target[2] - min(0.8, 0.2 * (target[2] - start)):
@@ -461,7 +454,7 @@ class Px4(Autopilot):
             self._takeoff_to = None
             self.intention = self._entered = LOITER
             self._hold = (x, y, target[2])
-            self.command(self._hold, (None, None, None))
+            self.command(self._hold, NOTHING)
 
     def _act_land(self, entering: bool) -> None:
         x, y, z = self.pos_est()
@@ -492,7 +485,11 @@ class Px4(Autopilot):
         if self._rtl_stage == 2:
             self._act_land(False)
         else:
-            self.command(self._hold, (None, None, None))
+            self.command(self._hold, NOTHING)
+
+    def vision_enabled(self) -> bool:
+        """EKF2_EV_CTRL has the bits of horizontal and vertical position."""
+        return whole(self.params["EKF2_EV_CTRL"]) & 3 == 3
 
     def mission_over(self) -> None:
         """PX4 holds when its mission is over."""

@@ -52,6 +52,7 @@ class Server:
         orders: a stream of lines, each a fault in YAML (``{kind: blackout, for_s: 2}``) or the word ``clear``;
             they act when they are read. None for no such stream.
         clock: monotonic time in ns.
+        speed: how many times faster than the clock the world runs.
 
     Attributes:
         world: what is emulated.
@@ -70,8 +71,11 @@ class Server:
         udp: bool = True,
         orders: TextIO | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
+        speed: float = 1.0,
     ) -> None:
-        self._clock = clock
+        started_ns = clock()
+        self._speed = speed
+        self._clock = clock if speed == 1.0 else lambda: started_ns + round((clock() - started_ns) * speed)
         self._offset_ns = 0
         self.late_ns = 0
         self.datagrams_in = self.datagrams_out = 0
@@ -130,7 +134,7 @@ class Server:
         next_status_ns = self._clock()
         while not stop.is_set():
             due_ns = self.world.now_ns + step_ns - self._offset_ns
-            self._wait(max(due_ns - self._clock(), 0) / SECOND)
+            self._wait(max(due_ns - self._clock(), 0) / SECOND / self._speed)
             now_ns = self._clock() + self._offset_ns
             if now_ns - self.world.now_ns > _LAG_MAX_NS:  # too slow, or suspended: time that is lost stays lost
                 skipped = now_ns - self.world.now_ns - step_ns

@@ -20,6 +20,13 @@ def _layout_of(msgid: int) -> Layout | None:
     return layout(name) if name else None
 
 
+@cache
+def _is_flat(msgid: int) -> bool:
+    """Whether a type has neither arrays nor texts, so that values and names pair up as they are."""
+    known = _layout_of(msgid)
+    return known is not None and not any(known.array_lengths)
+
+
 def unpack(frame: Frame) -> Fields | None:
     """Reads a frame's fields: numbers, tuples for arrays, bytes up to the first NUL for texts.
 
@@ -31,6 +38,8 @@ def unpack(frame: Frame) -> Fields | None:
         return None
     size = known.size
     values = known.packer.unpack(frame.payload[:size].ljust(size, b"\0"))
+    if _is_flat(frame.msgid):
+        return dict(zip(known.field_names, values, strict=True))
     fields: Fields = {}
     position = 0
     for name, length in zip(known.field_names, known.array_lengths, strict=True):
@@ -50,12 +59,3 @@ def unpack(frame: Frame) -> Fields | None:
 def whole(value: float) -> int:
     """Nearest integer of a command parameter; what is not a number, which means "not given", is 0."""
     return round(value) if math.isfinite(value) else 0
-
-
-def unpack_raw(frame: Frame) -> tuple[Any, ...]:
-    """Reads the fields of a frame of a known type in wire order, arrays flattened; for messages that come often."""
-    known = _layout_of(frame.msgid)
-    if known is None:
-        raise KeyError(frame.msgid)
-    size = known.size
-    return known.packer.unpack(frame.payload[:size].ljust(size, b"\0"))

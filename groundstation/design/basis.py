@@ -30,7 +30,7 @@ LocalMatrix = tuple[IntArray, Matrix]
 BLOCK = 128
 """Columns of the Schur complement formed at a time."""
 
-DENSE_LIMIT = 4_000_000
+DENSE_LIMIT = 250_000
 """Numbers in a dense basis up to which it is used."""
 
 
@@ -194,24 +194,36 @@ class RankOneBasis:
         m = self._rows.shape[0]
         total = np.empty((self.count, self.count), order="F")
         squared_products(self._rows, middles, total)
-        images = [self._rows @ middle if self._extras else middle for middle in middles]
-        for place, extra in enumerate(self._extras):
-            total[m + place, : m + place + 1] = sum(
-                self._extra_row(place, extra, middle, image) for middle, image in zip(middles, images, strict=True)
-            )
+        for middle in middles if self._extras else []:
+            image = np.ascontiguousarray((self._rows @ middle).T)
+            for place, extra in enumerate(self._extras):
+                row = self._extra_row(place, extra, middle, image)
+                if middle is middles[0]:
+                    total[m + place, : m + place + 1] = row
+                else:
+                    total[m + place, : m + place + 1] += row
         return self._solver(total)
 
     def _extra_row(self, place: int, extra: LocalMatrix, middle: Matrix, image: Matrix) -> FloatArray:
-        """<H_k, W E W> for the rank-one unknowns and for the extras up to E itself; ``image`` is v_k* W, all k."""
+        """<H_k, W E W> for the rank-one unknowns and for the extras up to E itself.
+
+        Args:
+            place: number of the extra.
+            extra: E.
+            middle: W, shape (n, n).
+            image: v_k* W as columns, shape (n, m).
+
+        Returns:
+            Shape (m + place + 1,).
+        """
         agents, part = extra
         if len(agents) == self._block.size:
-            whole = hermitian_part(middle @ (part @ middle))
-            return self._against(whole)[: self._rows.shape[0] + place + 1]
-        strip = middle[:, agents]
-        seen = image[:, agents]
-        ones = ((seen @ part) * seen.conj()).sum(axis=1).real
+            return self._against(hermitian_part(middle @ (part @ middle)))[: self._rows.shape[0] + place + 1]
+        strip, seen = middle[:, agents], image[agents]
+        ones = ((part.T @ seen) * seen.conj()).sum(axis=0).real
+        weighted = strip @ part
         more = [
-            np.vdot(other, strip[others] @ part @ strip[others].conj().T).real
+            np.vdot(other, weighted[others] @ strip[others].conj().T).real
             for others, other in self._extras[: place + 1]
         ]
         return np.concatenate([ones, np.array(more)])
@@ -257,6 +269,14 @@ def outer_products(rows: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array((data, (row, column)), shape=(m, n * n))
 
 
+def _squared(values: Matrix) -> FloatArray:
+    """Squared absolute values, without a square root and without copies of the parts."""
+    if np.iscomplexobj(values):
+        pairs = np.ascontiguousarray(values).view(np.float64).reshape(*values.shape, 2)
+        return np.asarray(np.einsum("ijk,ijk->ij", pairs, pairs))
+    return np.asarray(values * values)
+
+
 def squared_products(rows: scipy.sparse.csr_array, middles: list[Matrix] | None, out: FloatArray) -> None:
     """Writes the lower triangle of sum |v_k* W v_l|^2 over the given W, block by block so that it stays in the cache.
 
@@ -273,11 +293,7 @@ def squared_products(rows: scipy.sparse.csr_array, middles: list[Matrix] | None,
         for middle in middles if middles is not None else [None]:
             half = some.toarray() if middle is None else some @ middle
             values = below @ np.ascontiguousarray(half.conj().T)
-            if np.iscomplexobj(values):
-                pairs = values.view(np.float64).reshape(*values.shape, 2)
-                part += np.einsum("ijk,ijk->ij", pairs, pairs)
-            else:
-                part += values * values
+            part += _squared(values)
         out[start:m, start:stop] = part
 
 

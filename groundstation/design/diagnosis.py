@@ -22,6 +22,12 @@ from groundstation.design.problem import Block, Matrix, split
 WEAK = 0.05
 """Slowest mode relative to the fastest below which a design is called weak."""
 
+MENDED = 0.01
+"""Slowest mode, 1/s, from which a formation counts as mended: anything slower would never be seen to form."""
+
+MOST_PRUNED = 40
+"""Added edges up to which each is tried for being superfluous."""
+
 MOST_COUNTED = 3000
 """Unknowns up to which the null space of the kernel equations is looked at."""
 
@@ -176,7 +182,7 @@ class Mend:
     Attributes:
         edges: pairs counted from 0.
         slowest: slowest mode of the mended formation, 1/s.
-        fewest: whether it was proven that fewer edges cannot do.
+        fewest: whether it was proven that fewer edges cannot make the slowest mode ``MENDED``.
     """
 
     edges: tuple[Edge, ...]
@@ -189,7 +195,7 @@ Evaluate = Callable[[Formation], tuple[float, Certificate | None]]
 
 
 def mend(formation: Formation, certificate: Certificate, evaluate: Evaluate, most_designs: int = 150) -> Mend | None:
-    """Looks for the fewest edges that make a formation feasible.
+    """Looks for the fewest edges that make a formation feasible, and not just barely.
 
     Single edges are tried in the order in which the dual matrices price them, then pairs; where that is too many, edges
     are added greedily by price and superfluous ones taken away again.
@@ -260,7 +266,7 @@ def _best(
     best: tuple[tuple[Edge, ...], float] | None = None
     for extra in choices:
         slowest, _ = evaluate(with_edges(formation, extra))
-        if slowest > 0 and (best is None or slowest > 1.001 * best[1]):
+        if slowest >= MENDED and (best is None or slowest > 1.001 * best[1]):
             best = (tuple(sorted(extra)), slowest)
     return best
 
@@ -270,20 +276,20 @@ def _greedy(
 ) -> tuple[tuple[Edge, ...], float] | None:
     now, figures, slowest = formation, certificate, 0.0
     batch = max(1, formation.size // 20)
-    while slowest <= 0:
+    while slowest < MENDED:
         candidates = _priced(now, figures)
         if not candidates:
-            return None
+            return (tuple(sorted(set(now.edges) - set(formation.edges))), slowest) if slowest > 0 else None
         now = with_edges(now, _apart(candidates, batch))
         slowest, found = evaluate(now)
         figures = found or figures
     added = [edge for edge in now.edges if edge not in set(formation.edges)]
-    if len(added) > 60:
+    if len(added) > MOST_PRUNED:
         return tuple(added), slowest
     for edge in list(added):
         without = [other for other in added if other != edge]
         value, _ = evaluate(with_edges(formation, without))
-        if value > 0:
+        if value >= MENDED:
             added, slowest = without, value
     return tuple(added), slowest
 

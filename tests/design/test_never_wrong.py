@@ -111,7 +111,7 @@ def test_random_inputs_are_certified_or_refused_for_the_right_reason(batch: int)
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 @given(
-    n=st.integers(2, 8),
+    n=st.integers(2, 10),
     seed=st.integers(0, 2**32 - 1),
     share=st.floats(0.4, 1.0),
 )

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sitl.served import free_tcp_port, free_udp_port, serving
+from tests.sitl.served import FASTER, free_tcp_port, free_udp_port, serving
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed")
 
@@ -94,7 +94,7 @@ def _nothing_unknown(proxy: MavProxy) -> None:
 
 def test_flies_arducopter(tmp_path: Path) -> None:
     port = free_udp_port()
-    arguments = ("--vehicles", "1", "--autopilot", "arducopter", "--port", str(port))
+    arguments = ("--vehicles", "1", "--autopilot", "arducopter", "--port", str(port), *FASTER)
     with serving(*arguments), mavproxy(f"udpin:127.0.0.1:{port}", tmp_path) as proxy:
         proxy.expect("Detected vehicle 1:1 on link 0")
         received = proxy.expect(r"Received \d+ parameters")
@@ -116,14 +116,14 @@ def test_flies_arducopter(tmp_path: Path) -> None:
         proxy.type("status HEARTBEAT")
         proxy.expect(r"HEARTBEAT .*custom_mode : 4, system_status : 4")
         proxy.type("mode land")
-        proxy.expect("Mode LAND")
         proxy.expect("DISARMED")
+        proxy.until("status HEARTBEAT", r"HEARTBEAT .*custom_mode : 9, system_status : 3")
         _nothing_unknown(proxy)
 
 
 def test_flies_px4_over_tcp(tmp_path: Path) -> None:
     port, tcp_port = free_udp_port(), free_tcp_port()
-    arguments = ("--vehicles", "1", "--port", str(port), "--tcp", str(tcp_port))
+    arguments = ("--vehicles", "1", "--port", str(port), *FASTER, "--tcp", str(tcp_port))
     with serving(*arguments), mavproxy(f"tcp:127.0.0.1:{tcp_port}", tmp_path) as proxy:
         proxy.expect("Detected vehicle 1:1 on link 0")
         proxy.expect(r"Received \d+ parameters")
@@ -139,6 +139,5 @@ def test_flies_px4_over_tcp(tmp_path: Path) -> None:
         proxy.expect("Mode LOITER")
         proxy.type("long NAV_LAND 0 0 0 0 0 0 0")
         proxy.expect("NAV_LAND: ACCEPTED")
-        proxy.expect("Mode LAND")
         proxy.expect("DISARMED")
         _nothing_unknown(proxy)

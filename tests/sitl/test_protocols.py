@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from groundstation.mavlink.codec import Encoder
+from sitl.faults import Fault
 from sitl.world import World
 from tests.sitl.virtual_ground import Ground, arducopter, hovering, world
 
@@ -133,6 +134,22 @@ def test_mission_of_arducopter_starts_behind_its_home_item() -> None:
     ground.run_until(lambda: ground.height() > 2.5, 20.0)
     ground.run_until(lambda: not ground.world.truth.armed[0], 60.0)
     assert [m.seq for _, m in ground.all("MISSION_ITEM_REACHED")] == [1]
+
+
+def test_mission_upload_survives_a_bad_link() -> None:
+    ground = Ground(world(faults=(Fault("loss", numbers={"probability": 0.4}),)), seed=4)
+    ground.run(2.5)
+    items = [_item(22), *[_item(16, float(k)) for k in range(8)]]
+    answered = 0
+    for _ in range(500):
+        if not ground.all("MISSION_REQUEST_INT"):
+            ground.send("MISSION_COUNT", target_system=1, target_component=1, count=len(items))
+        asked = ground.all("MISSION_REQUEST_INT")
+        for _, request in asked[answered:]:
+            ground.send("MISSION_ITEM_INT", target_system=1, target_component=1, seq=request.seq, **items[request.seq])
+        answered = len(asked)
+        ground.run(0.04)
+    assert [item["command"] for item in ground.world.autopilots[0].mission] == [item["command"] for item in items]
 
 
 def test_mission_clear_and_empty() -> None:

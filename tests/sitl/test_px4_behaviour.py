@@ -391,3 +391,41 @@ def test_timesync_both_ways_and_ping() -> None:
     assert (ping.time_usec, ping.seq, ping.target_system) == (42, 7, 255)
     asked = [m for _, m in ground.all("TIMESYNC", since_s=1.0) if not m.tc1]
     assert len(asked) == pytest.approx(11, abs=1)
+
+
+def test_link_to_a_ground_station_and_telemetry_radio_stream_as_seen() -> None:
+    for streams, rates in (
+        ("gcs", {"LOCAL_POSITION_NED": 50, "GLOBAL_POSITION_INT": 50, "ATTITUDE": 50}),
+        ("radio", {"LOCAL_POSITION_NED": 1}),
+    ):
+        ground = Ground(world(streams=streams))
+        ground.run(3.0)
+        since = ground.t_s + 1e-6
+        ground.run(4.0)
+        for name, hz in rates.items():
+            assert ground.count(since_s=since)[name] == pytest.approx(4 * hz, abs=1)
+
+
+def test_without_sticks_offboard_goes_on_only_while_it_is_excepted() -> None:
+    ground = hovering(3.0)
+    since = ground.t_s
+    ground.send("PARAM_SET", target_system=1, param_id=b"COM_RCL_EXCEPT", param_type=6, param_value=0.0)
+    ground.run(1.2)
+    assert (2, "Failsafe activated\t") in ground.texts(since_s=since)
+    assert ground.last("HEARTBEAT").custom_mode == 84148224  # AUTO.RTL
+
+
+def test_lost_ground_station_counts_only_when_asked_for_and_then_any_heartbeat_does() -> None:
+    ground = hovering(3.0)
+    ground.send("HEARTBEAT", type=6, autopilot=8)
+    ground.run(12.0)
+    assert ground.last("HEARTBEAT").custom_mode == OFFBOARD  # NAV_DLL_ACT is off
+    ground.send("PARAM_SET", target_system=1, param_id=b"NAV_DLL_ACT", param_type=6, param_value=2.8e-45)  # 2: return
+    stranger = Ground(world(), sysid=17).encoder
+    for _ in range(12):
+        ground.world.receive(0, stranger.encode("HEARTBEAT", type=6, autopilot=8), ground.now_ns, "stranger")
+        ground.run(1.0)
+    first = [t for t, m in ground.all("HEARTBEAT") if m.custom_mode == 84148224]
+    assert first == []
+    ground.run(11.5)
+    assert ground.last("HEARTBEAT").custom_mode == 84148224

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import re
 import signal
 import socket
@@ -15,8 +16,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from groundstation.app.commands.sitl import _picture
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_name
+from sitl.faults import Fault
 from sitl.fleet import fleet
 from sitl.server import Server
 from sitl.world import WorldConfig
@@ -190,3 +194,16 @@ def test_a_machine_that_stands_still_skips_time_and_says_so() -> None:
         server.run(stop, status, status_every_s=0.01)
         assert server.late_ns == pytest.approx(5e9, rel=0.02)
         assert calls[-1] - calls[0] < 10**9
+
+
+def test_status_shows_modes_positions_and_what_is_wrong() -> None:
+    faults = (Fault("loss", vehicles=(2,), numbers={"probability": 0.5}),)
+    with Server(WorldConfig(vehicles=fleet(3), faults=faults), 1, port=free_udp_port()) as server:
+        server.world.advance(server.world.now_ns + 3 * 10**9)
+        server.order("{kind: gremlins}")
+        console = Console(width=120, record=True, file=io.StringIO())
+        console.print(_picture(server))
+        text = console.export_text()
+    assert re.search(r"1 +AUTO.LOITER +ground +100 % +-1.00 +0.00 +0.00", text)
+    assert "fault: loss of 2, probability 0.5" in text
+    assert "'gremlins' is unknown" in text

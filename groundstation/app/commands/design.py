@@ -27,7 +27,7 @@ from groundstation.design.problem import Progress, Watch, split
 from groundstation.design.robustness import Robustness, assess
 from groundstation.design.store import load_formation, save_gains
 
-_MEND_LIMIT = 64
+_MEND_LIMIT = 40
 """Agents up to which mending edges are searched for without being asked."""
 
 

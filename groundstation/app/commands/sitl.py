@@ -25,6 +25,7 @@ from sitl.faults import Fault, load_faults
 from sitl.fleet import fleet
 from sitl.profiles import PROFILES
 from sitl.server import Server
+from sitl.telemetry import RATES_HZ
 from sitl.world import PERSONALITIES, WindConfig, WorldConfig
 
 _ROWS_SHOWN = 30
@@ -45,11 +46,16 @@ def sitl(
     ] = False,
     profile: Annotated[str | None, typer.Option(help=f"Dynamics: {', '.join(PROFILES)}.")] = None,
     noise: Annotated[str, typer.Option(help=f"Errors of the estimates: {', '.join(NOISES)}.")] = "mocap",
+    streams: Annotated[
+        str | None,
+        typer.Option(help="Sent unasked: onboard, gcs, radio, ardupilot; the autopilot's own if not given."),
+    ] = None,
     gps: Annotated[bool, typer.Option("--gps/--no-gps", help="Whether the vehicles have GPS.")] = True,
     spacing_m: Annotated[float, typer.Option("--spacing", help="Distance between pads, metres.")] = 1.0,
     wind: Annotated[float, typer.Option(help="Mean wind towards the east, m/s.")] = 0.0,
     gusts: Annotated[float, typer.Option(help="Standard deviation of the gusts, m/s.")] = 0.0,
     downwash: Annotated[bool, typer.Option("--downwash", help="Rotors push on whoever flies below.")] = False,
+    speed: Annotated[float, typer.Option(help="How many times faster than real time.")] = 1.0,
     tcp_port: Annotated[
         int | None, typer.Option("--tcp", help="Vehicle i also listens for TCP on this port + 10 (i - 1).")
     ] = None,
@@ -58,8 +64,8 @@ def sitl(
 ) -> None:
     """Emulates vehicles with their autopilots and sends them to a UDP port of this machine."""
     options = _Options(
-        vehicles, autopilot, port, seed, faults, orders, port_per_vehicle, profile, noise, gps, spacing_m, wind, gusts,
-        downwash, tcp_port, mavlink, real_boot,
+        vehicles, autopilot, port, seed, faults, orders, port_per_vehicle, profile, noise, streams, gps, spacing_m,
+        wind, gusts, downwash, speed, tcp_port, mavlink, real_boot,
     )  # fmt: skip
     out = Output(as_json=False)
     stop = Event()
@@ -90,11 +96,13 @@ class _Options:
     port_per_vehicle: bool
     profile: str | None
     noise: str
+    streams: str | None
     gps: bool
     spacing_m: float
     wind: float
     gusts: float
     downwash: bool
+    speed: float
     tcp_port: int | None
     mavlink: int
     real_boot: bool
@@ -107,6 +115,7 @@ def _server(options: _Options) -> Server:
         ("--noise", options.noise, tuple(NOISES)),
         ("--profile", options.profile or "crazyflie", tuple(PROFILES)),
         ("--mavlink", options.mavlink, (0, 1, 2)),
+        ("--streams", options.streams or "onboard", tuple(RATES_HZ)),
     ):
         if value not in allowed:
             raise UserError(f"{name}: {value!r} is unknown; choose one of {', '.join(map(str, allowed))}")
@@ -114,6 +123,7 @@ def _server(options: _Options) -> Server:
         ("--spacing", options.spacing_m, 0.0, 1000.0),
         ("--wind", options.wind, -30.0, 30.0),
         ("--gusts", options.gusts, 0.0, 15.0),
+        ("--speed", options.speed, 0.01, 50.0),
         ("--seed", options.seed, 0, 2**63),
     ):
         if not low <= number <= high:
@@ -133,6 +143,7 @@ def _server(options: _Options) -> Server:
                 profile=options.profile,
                 spacing_m=options.spacing_m,
                 noise=NOISES[options.noise],
+                streams=options.streams,
                 mavlink_version=options.mavlink,
                 gps=options.gps,
             ),
@@ -148,6 +159,7 @@ def _server(options: _Options) -> Server:
             port_per_vehicle=options.port_per_vehicle,
             tcp_port=options.tcp_port,
             orders=sys.stdin if options.orders else None,
+            speed=options.speed,
         )
     except ValueError as error:
         raise UserError(f"sitl: {error}") from error
@@ -184,6 +196,9 @@ def _picture(server: Server) -> Group:
     lines = [Text(f"late by {server.late_ns / 1e9:.1f} s: this machine is too slow")] if server.late_ns else []
     if world.n > _ROWS_SHOWN:
         lines.append(Text(f"and {world.n - _ROWS_SHOWN} more"))
-    lines += [Text(f"fault: {item.kind} {dict(item.numbers) or ''}") for item in world.active_faults]
+    for item in world.active_faults:
+        whose = "all" if not item.vehicles else ", ".join(map(str, item.vehicles))
+        numbers = "".join(f", {name} {value:g}" for name, value in item.numbers.items())
+        lines.append(Text(f"fault: {item.kind} of {whose}{numbers}"))
     lines += [Text(message) for message in server.order_errors[-3:]]
     return Group(table, *lines)
