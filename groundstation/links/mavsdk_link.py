@@ -1,8 +1,8 @@
 """A link that MAVSDK (4 and later, in this process) holds: another way in for what MAVSDK supports.
 
-All messages pass through MAVSDK's forwarding as they are, both ways, but for velocity setpoints: those go to its Offboard
-plugin, **which repeats the last one at 20 Hz by itself**. If the controller hangs, the autopilot's own time-out does not
-see it. As long as this program runs, repetition ends half a second after the last setpoint.
+All messages pass through MAVSDK's forwarding as they are, both ways, but for velocity setpoints: those go to its
+Offboard plugin, **which repeats the last one at 20 Hz by itself**. If the controller hangs, the autopilot's own
+time-out does not see it. As long as this program runs, repetition ends half a second after the last setpoint.
 
 MAVSDK calls back from threads of its own; bytes wait in a queue, and a socket pair wakes whoever waits on the link.
 """
