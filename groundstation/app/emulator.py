@@ -102,13 +102,16 @@ def _ports(plan: MissionPlan) -> tuple[list[int], int | None]:
     first = {address.port - 10 * number for number, address in enumerate(addresses) if address.kind == "tcpout"}
     if len(first) > 1:
         raise UserError(f"{plan.source}: vehicles: --udp emulates TCP ports that rise by 10 from vehicle to vehicle")
-    shared = next(iter(udp.values()), 14540)
-    ports = [udp.get(number, shared) for number in range(plan.size)]
-    if len(set(ports)) > 1 and ports != list(range(ports[0], ports[0] + len(ports))):
+    tcp_port = next(iter(first), None)
+    if len(set(udp.values())) <= 1:
+        return [next(iter(udp.values()), 14540)] * plan.size, tcp_port
+    bases = {port - number for number, port in udp.items()}
+    if len(bases) > 1:
         raise UserError(
-            f"{plan.source}: vehicles: ports {ports}: --udp emulates one port for all vehicles, or consecutive ports"
+            f"{plan.source}: vehicles: ports {list(udp.values())}: --udp emulates one port for all vehicles, or"
+            " consecutive ports"
         )
-    return ports, next(iter(first), None)
+    return [next(iter(bases)) + number for number in range(plan.size)], tcp_port
 
 
 class TruthMeter:

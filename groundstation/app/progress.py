@@ -13,6 +13,7 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
 
 _REFRESH_NS = 200_000_000
+_WAITING_NS = 5_000_000_000
 _STYLES = {"alarm": "bold red", "phase": "bold", "info": "dim", "roles": "dim"}
 
 
@@ -29,7 +30,7 @@ class FlightDisplay:
         self._plan = plan
         self._live = Live(console=console, refresh_per_second=5, transient=True)
         self._next_ns = 0
-        self._problems: list[str] = []
+        self._next_waiting_ns = _WAITING_NS
 
     def __enter__(self) -> FlightDisplay:
         """Begins to show."""
@@ -51,13 +52,13 @@ class FlightDisplay:
             return
         self._next_ns = now_ns + _REFRESH_NS
         runner = session.runner
-        if runner.phase is Phase.CONNECT and runner.problems and runner.problems != self._problems:
-            # While vehicles start up, people want to see what is waited for; once per change, not per tick.
-            self._problems = list(runner.problems)
-            if not self._console.is_terminal and now_ns > 0:
-                return
         if self._console.is_terminal:
             self._live.update(self._line(session, now_ns))
+        elif runner.phase is Phase.CONNECT and now_ns >= self._next_waiting_ns:
+            # Where nothing can be drawn over, what is waited for is told now and then: an estimator takes a minute.
+            self._next_waiting_ns = now_ns + _WAITING_NS
+            for problem in runner.problems:
+                self._console.print(Text(f"{now_ns / 1e9:8.2f} s  waiting: {problem}", style="yellow"))
 
     def _line(self, session: Session, now_ns: int) -> Text:
         runner = session.runner

@@ -59,6 +59,7 @@ class TeamFrame:
         )
         self._anchor_is_given = anchor is not None or not self._gps.any()
         self._shift_ned_m: FloatArray = np.zeros((n, 3))
+        self._derived_deg_m: FloatArray = np.full((n, 3), np.nan)
         self._nobody: BoolArray = np.zeros(n, dtype=np.bool_)
         self._next_look_ns = 0
         self.settled = False
@@ -72,7 +73,24 @@ class TeamFrame:
             self._hang_on_first(fleet)
         if self.anchor_deg_m is not None:
             rows = np.flatnonzero(self._by_origin)
-            self.origin_team_ned_m[rows] = self._from_anchor(fleet.origin_deg_m[rows])
+            self.origin_team_ned_m[rows] = self._from_anchor(self._origins_deg_m(fleet)[rows])
+
+    def derive_origin(self, fleet: Fleet, vehicle: int) -> bool:
+        """Takes a vehicle's origin from its two positions, for one that stands and does not tell it.
+
+        Returns:
+            Whether both positions are known.
+        """
+        place = np.array(
+            pymap3d.ned2geodetic(*-fleet.pos_local_ned_m[vehicle], *fleet.place_deg_m[vehicle]), dtype=np.float64
+        )
+        if np.isfinite(place).all():
+            self._derived_deg_m[vehicle] = place
+        return bool(np.isfinite(place).all())
+
+    def _origins_deg_m(self, fleet: Fleet) -> FloatArray:
+        """Origins as told, and as derived where they are not told."""
+        return np.where(np.isfinite(fleet.origin_deg_m), fleet.origin_deg_m, self._derived_deg_m)
 
     def hold_anchor(self) -> None:
         """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
@@ -157,6 +175,7 @@ class TeamFrame:
         first = int(np.flatnonzero(self._gps)[0])
         place = fleet.place_deg_m[first]
         if not self._global[first]:
-            place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *fleet.origin_deg_m[first]))
+            origin = self._origins_deg_m(fleet)[first]
+            place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *origin))
         if np.isfinite(place).all():
             self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)

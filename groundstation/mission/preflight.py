@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.core.types import FloatArray
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
 from groundstation.mission.plan import MissionPlan
@@ -24,6 +24,7 @@ _TRIES = 3
 _ASK_AGAIN_NS = 5 * _SECOND_NS
 _ORIGIN_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_TRIES = 5
+_ORIGIN_ASKS = 5  # unanswered, then the origin is taken from the two positions
 _SYNC_SAMPLES = 3
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
 _ROUND_TRIP_SPARE_S = 0.15
@@ -74,6 +75,8 @@ class Preflight:
         self._rates = [_Rates() for _ in range(plan.size)]
         self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_set: FloatArray = np.zeros(plan.size)
+        self._origin_asks = np.zeros(plan.size, dtype=np.int64)
+        self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
 
@@ -116,7 +119,7 @@ class Preflight:
                 self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
                 or self._readiness(vehicle, said)
                 or self._clock(vehicle, now_ns, state)
-                or self._place(vehicle, now_ns, float(off_m[vehicle]), float(drift_m[vehicle]))
+                or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), state)
             )
             if problem is not None:
                 state.waiting.append(f"{name}: {problem}")
@@ -263,10 +266,11 @@ class Preflight:
             )
         return None
 
-    def _place(self, vehicle: int, now_ns: int, off_m: float, drift_m: float) -> str | None:
+    def _place(self, vehicle: int, now_ns: int, off_and_drift_m: tuple[float, float], state: GroundState) -> str | None:
         fleet, plan = self._station.fleet, self._plan
+        off_m, drift_m = off_and_drift_m
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
-            if np.isnan(fleet.origin_deg_m[vehicle]).any():
+            if np.isnan(fleet.origin_deg_m[vehicle]).any() and not self._derived[vehicle]:
                 return "has not told its origin (GPS_GLOBAL_ORIGIN) yet; has it a GPS position?"
             if fleet.origin_unsteady(vehicle, now_ns) and not self._was_given_origin(vehicle):
                 return (
@@ -275,6 +279,11 @@ class Preflight:
                 )
             if self._origin_wanted(vehicle):
                 return "was given the team's origin, has not taken it yet"
+            if self._derived[vehicle]:
+                state.notes.append(
+                    f"vehicle {plan.spec.vehicles[vehicle].id}: does not tell its origin (GPS_GLOBAL_ORIGIN); it is"
+                    " taken from its local and global positions"
+                )
         if not self._frame.known(vehicle):
             return "its place in the team frame is not known yet: no global position of the first vehicle"
         if drift_m > plan.frame_drift_m:
@@ -323,6 +332,11 @@ class Preflight:
                 altitude=round(anchor[2] * 1e3),
             )
         self._station.commands.request(vehicle, plan.autopilots[vehicle].once("GPS_GLOBAL_ORIGIN"))
+        self._origin_asks[vehicle] += 1
+        untold = bool(np.isnan(fleet.origin_deg_m[vehicle]).any())
+        self._derived[vehicle] = (
+            untold and self._origin_asks[vehicle] > _ORIGIN_ASKS and self._frame.derive_origin(fleet, vehicle)
+        )
 
 
 def _age_s(now_ns: int, then_ns: int) -> float:

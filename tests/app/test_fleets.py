@@ -300,11 +300,11 @@ def test_two_vehicles_behind_one_address_under_one_id_are_told_by_their_times() 
 
 
 def test_a_vehicle_that_is_heard_on_another_link_is_found_there() -> None:
-    changes = ("vehicles.0.link=udpin://0.0.0.0:14541", "limits.preflight_s=3")
+    changes = ("vehicles.0.link=udpin://0.0.0.0:14551", "limits.preflight_s=3")
     flight = Flight(pair(*changes), tamper=_all_on_second_link)
     _assert_on_the_ground(flight)
     assert flight.runner.reason.startswith(
-        "vehicle 1: no heartbeat on udpin://0.0.0.0:14541; a system 1 is heard on udpin://0.0.0.0:14540;"
+        "vehicle 1: no heartbeat on udpin://0.0.0.0:14551; a system 1 is heard on udpin://0.0.0.0:14541;"
     )
 
 
@@ -352,3 +352,32 @@ def test_setpoints_begin_before_the_mode_and_never_stop_in_the_air(autopilots: t
             takeoff = next(t for t, who, what in sent if who == vehicle and what == "command 22")
             assert points[0] > takeoff
         assert max(np.diff(points)) <= 0.1 * SECOND_NS
+
+
+def test_an_origin_that_is_never_told_is_taken_from_the_two_positions() -> None:
+    """Some firmware answers no request for GPS_GLOBAL_ORIGIN."""
+
+    def untold(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        pieces = FrameSplitter().feed(datagram.data)
+        kept = [piece.raw for piece in pieces if isinstance(piece, WireFrame) and piece.msgid != ORIGIN]
+        return [datagram._replace(data=b"".join(kept))] if kept else []
+
+    def far(world: World) -> None:
+        world.estimator.origin_error_enu_m += np.array([[50.0, -20.0], [10.0, 60.0], [0.5, -0.5]])
+
+    flight = Flight(pair(), tamper=untold, prepare=far)
+    _assert_flown(flight)
+    assert any("vehicle 2: does not tell its origin" in text for text in flight.texts("info"))
+
+
+def test_a_vehicle_that_does_not_answer_timesync_is_flown_by_arrival_times() -> None:
+    timesync = message_id("TIMESYNC")
+
+    def mute(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        pieces = FrameSplitter().feed(datagram.data)
+        kept = [piece.raw for piece in pieces if isinstance(piece, WireFrame) and piece.msgid != timesync]
+        return [datagram._replace(data=b"".join(kept))] if kept else []
+
+    flight = Flight(pair(), tamper=mute)
+    _assert_flown(flight)
+    assert any("vehicle 1: does not answer TIMESYNC" in text for text in flight.texts("info"))
