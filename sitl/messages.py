@@ -178,7 +178,7 @@ def _global_position_int(world: World, view: View, vehicles: IntArray) -> Struct
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = np.rint(alt * 1000.0)
     height = _number(world, view.pos_enu_m[2, vehicles]) - world.home_enu_m[2, vehicles]
-    out["relative_alt"] = np.rint(height * 1000.0)
+    out["relative_alt"] = np.rint(np.clip(height, -2e6, 2e6) * 1000.0)  # home may be set anywhere on the globe
     vel = np.clip(_number(world, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767, 32767)
     out["vx"], out["vy"], out["vz"] = np.rint(vel)
     out["hdg"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0 * 100.0) % 36000

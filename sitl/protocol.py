@@ -204,7 +204,7 @@ class Protocol:
         name = message_name(whole(params[0])) or ""
         interval = self.world.streams.interval(self.index, name)
         interval_us = 0 if interval is None else (interval // 1000 or -1)
-        self.send("MESSAGE_INTERVAL", message_id=whole(params[0]), interval_us=interval_us)
+        self.send("MESSAGE_INTERVAL", message_id=whole(params[0]) & 0xFFFF, interval_us=interval_us)
         return ACCEPTED
 
     def default_rates_hz(self) -> dict[str, float]:

@@ -57,5 +57,5 @@ def unpack(frame: Frame) -> Fields | None:
 
 
 def whole(value: float) -> int:
-    """Nearest integer of a command parameter; what is not a number, which means "not given", is 0."""
-    return round(value) if math.isfinite(value) else 0
+    """Nearest integer of a command parameter, within 32 bits; what is not a number ("not given") is 0."""
+    return round(min(max(value, -2147483648.0), 2147483647.0)) if math.isfinite(value) else 0

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.mavlink.codec import Encoder
+from groundstation.mavlink.codec import Encoder, layout, message_name
 from sitl.fleet import fleet, grid_pads
 from sitl.network import LinkConfig
 from sitl.world import Outgoing, VehicleConfig, World, WorldConfig
@@ -199,3 +199,33 @@ def test_no_bytes_break_it(inputs: list[bytes | tuple[str, int, list[float]]]) -
     ground.run(1.0)
     assert np.isfinite(ground.world.truth.pos_enu_m).all()
     assert ground.last("HEARTBEAT").type == 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(["px4", "arducopter"]), st.integers(0, 2**32 - 1), st.booleans())
+def test_no_frame_of_any_type_breaks_it(autopilot: str, seed: int, flying: bool) -> None:
+    rng = np.random.default_rng(seed)
+    ground = Ground(world(autopilot=autopilot, streams="radio"))
+    pilot = ground.world.autopilots[0]
+    ground.run(2.2)
+    if flying:
+        pilot.arm()
+        pilot.set_flying(True)
+        ground.world.dynamics.pos_enu_m[2, 0] = 3.0
+        ground.run(0.1)
+    for _ in range(60):
+        shape = layout(message_name(int(rng.choice(list(pilot.messages)))) or "")
+        values = np.frombuffer(rng.bytes(shape.size), dtype=shape.dtype).copy()
+        if rng.random() < 0.7:
+            for name in {"target_system", "target_component"} & set(shape.field_names):
+                values[name] = 1
+            if "command" in shape.field_names and rng.random() < 0.9:
+                values["command"] = rng.choice(list(pilot.commands))
+            if "coordinate_frame" in shape.field_names:
+                values["coordinate_frame"] = rng.choice([1, 7, 8, 9])
+        ground.world.receive(0, ground.encoder.frame(shape, values.tobytes()), ground.now_ns)
+        ground.run(0.04)
+        pilot = ground.world.autopilots[0]  # a reboot makes a new one
+    ground.run(1.0)
+    assert np.isfinite(ground.world.truth.pos_enu_m).all()
+    assert np.isfinite(ground.world.truth.quat).all()
