@@ -121,6 +121,16 @@ class TeamFrame:
             self._shift_ned_m[at_pad] = gap[at_pad]
         self.settled = True
 
+    def words(self) -> list[str]:
+        """Where the local frames lie, for the log: a line for each vehicle whose frame was not declared."""
+        lines = []
+        for vehicle, spec in enumerate(self._plan.spec.vehicles):
+            origin = frames.enu_from_ned(self.origin_team_ned_m[vehicle] + self._shift_ned_m[vehicle])
+            if np.isfinite(origin).all() and (self._by_origin[vehicle] or self._shift_ned_m[vehicle].any()):
+                place = " ".join(f"{value:.3f}" for value in origin)
+                lines.append(f"vehicle {spec.id}: its local frame begins at {place} m in the team frame (ENU)")
+        return lines
+
     def poses(self, fleet: Fleet, now_ns: int) -> Poses:
         """Poses of the team at one instant, each brought there from its measurement by its velocity."""
         velocity = np.where(self._global[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)

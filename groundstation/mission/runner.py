@@ -9,9 +9,7 @@ arming it ends at once, with nothing armed.
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +29,10 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
 from groundstation.mission.schema import FormStep, HoldStep
+from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
+from groundstation.mission.words import Words
+
+__all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]
 
 _SECOND_NS = 1_000_000_000
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
@@ -43,62 +45,6 @@ _HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of i
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
-_WORDS_KEPT = 3  # of each vehicle's own words, for reasons
-
-
-class Phase(Enum):
-    """What the team is doing."""
-
-    CONNECT = "connect"
-    ARM = "arm"
-    TAKEOFF = "takeoff"
-    FORM = "form"
-    HOLD = "hold"
-    STOP = "stop"
-    RETURN = "return"
-    LAND = "land"
-    SILENT = "silent"
-    DONE = "done"
-
-
-AIRBORNE_PHASES = frozenset({Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.STOP, Phase.RETURN, Phase.LAND})
-FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD})
-
-
-@dataclass(frozen=True)
-class Note:
-    """Something that happened, for the log and for people: ``kind`` is phase, alarm, info or roles."""
-
-    kind: str
-    text: str
-    roles: tuple[int, ...] = ()
-
-
-@dataclass
-class Figures:
-    """What the mission came to, from what the vehicles reported.
-
-    Attributes:
-        converged: every form step was reached.
-        time_to_form_s: from the start of the first form step until the formation stood, NaN before.
-        formation_error_m: largest |d_ij - d*_ij| over all pairs and over the hold, NaN before.
-        min_distance_m: smallest reported distance between two vehicles in the air.
-        gridlocks: times an agent stood without a free direction for more than a second.
-        role_swaps: changes of the role map after the first assignment.
-        flight_time_s: from takeoff to the end, NaN before takeoff.
-        ticks: calls of ``step``.
-        deadline_misses: ticks that came more than a whole period late.
-    """
-
-    converged: bool = False
-    time_to_form_s: float = np.nan
-    formation_error_m: float = np.nan
-    min_distance_m: float = np.inf
-    gridlocks: int = 0
-    role_swaps: int = 0
-    flight_time_s: float = np.nan
-    ticks: int = 0
-    deadline_misses: int = 0
 
 
 class Runner:
@@ -159,8 +105,7 @@ class Runner:
         self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
-        self._refused: dict[int, str] = {}
-        self._words: dict[int, deque[str]] = {}
+        self._words = Words()
         self._abort_requested = False
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._gather_ned_m: FloatArray = self._pads_ned_m.copy()
@@ -294,7 +239,7 @@ class Runner:
 
     def _connect(self, now_ns: int) -> None:
         plan = self.plan
-        state = self._preflight.step(now_ns, self._said())
+        state = self._preflight.step(now_ns, self._words.by_vehicle())
         for note in state.notes:
             self._note("info", note)
         self.problems = state.fatal + state.waiting
@@ -312,8 +257,9 @@ class Runner:
                 self._frame.settle(self.fleet, now_ns)
                 self._monitor.begin(self.fleet)
                 self._yaw_ned_rad = frames.yaw_ned_from_quat(self.fleet.quat_ned_from_frd)
-                self._refused.clear()
-                self._words.clear()
+                for line in self._frame.words():
+                    self._note("info", line)
+                self._words = Words()
                 self._arming = Arming(plan, self.fleet, self._station.commands)
                 self._enter(Phase.ARM, now_ns)
 
@@ -333,7 +279,7 @@ class Runner:
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:
-            self._give_up(self._arming.why_not(limits.arming_s, self._said()), now_ns)
+            self._give_up(self._arming.why_not(limits.arming_s, self._words.by_vehicle()), now_ns)
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
@@ -347,7 +293,7 @@ class Runner:
         else:
             self._steady_since_ns = NEVER
             if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
-                said = self._said()
+                said = self._words.by_vehicle()
                 late = ", ".join(
                     f"vehicle {self.fleet.sysid[i]} is {offset[i]:.2f} m from its place"
                     + (f": {said[i]}" if i in said else "")
@@ -564,24 +510,11 @@ class Runner:
         """Takes the vehicles' words and answers."""
         for outcome in self._station.commands.take_outcomes():
             self._arming.heard(outcome)
-            if not outcome.accepted and not outcome.command.asks:
-                if self._refused.get(outcome.vehicle) != outcome.words():  # once, not at every try
-                    self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
-                self._refused[outcome.vehicle] = outcome.words()
+            if self._words.refused(outcome):
+                self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
         for text in self.fleet.take_texts():
-            sysid = self.fleet.sysid[text.vehicle]
-            self._note("info", f"vehicle {sysid} says: {text.text}")
-            words = self._words.setdefault(text.vehicle, deque(maxlen=_WORDS_KEPT))
-            if text.severity <= 4 and text.text not in words:
-                words.append(text.text)
-
-    def _said(self) -> dict[int, str]:
-        """What each vehicle refused and said of late."""
-        said = {vehicle: [words] for vehicle, words in self._refused.items()}
-        for vehicle, texts in self._words.items():
-            if texts:
-                said.setdefault(vehicle, []).extend(f"it says: {text}" for text in texts)
-        return {vehicle: ", ".join(parts) for vehicle, parts in said.items()}
+            self._note("info", f"vehicle {self.fleet.sysid[text.vehicle]} says: {text.text}")
+            self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
         distance = min_distance_m(poses.pos_team_ned_m, self.airborne)

@@ -1,0 +1,41 @@
+"""What the vehicles refuse and say, kept for the reasons that people are given."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from groundstation.mavlink.commands import Outcome
+from groundstation.mavlink.vehicle import Text
+
+_KEPT = 3
+_WARNING = 4  # MAV_SEVERITY; what is less severe is no reason
+
+
+class Words:
+    """The last refusal and the last few words of each vehicle."""
+
+    def __init__(self) -> None:
+        self._refused: dict[int, str] = {}
+        self._said: dict[int, deque[str]] = {}
+
+    def refused(self, outcome: Outcome) -> bool:
+        """Takes how a command ended; returns whether it is a refusal that was not known yet."""
+        if outcome.accepted or outcome.command.asks:
+            return False
+        new = self._refused.get(outcome.vehicle) != outcome.words()
+        self._refused[outcome.vehicle] = outcome.words()
+        return new
+
+    def said(self, text: Text) -> None:
+        """Takes a vehicle's own words."""
+        kept = self._said.setdefault(text.vehicle, deque(maxlen=_KEPT))
+        if text.severity <= _WARNING and text.text not in kept:
+            kept.append(text.text)
+
+    def by_vehicle(self) -> dict[int, str]:
+        """What each vehicle refused and said of late."""
+        reasons = {vehicle: [words] for vehicle, words in self._refused.items()}
+        for vehicle, texts in self._said.items():
+            if texts:
+                reasons.setdefault(vehicle, []).extend(f"it says: {text}" for text in texts)
+        return {vehicle: ", ".join(parts) for vehicle, parts in reasons.items()}
