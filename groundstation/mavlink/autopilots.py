@@ -73,6 +73,10 @@ class Autopilot(ABC):
         """Command for the mode that follows our velocity setpoints."""
 
     @abstractmethod
+    def idle_mode(self) -> Command:
+        """Command for a mode to stand on the ground in; after a flight the mode may be one that cannot be armed in."""
+
+    @abstractmethod
     def is_streaming_mode(self, custom_mode: int) -> bool:
         """Whether a heartbeat's mode word is that mode."""
 
@@ -116,6 +120,10 @@ class Px4(Autopilot):
         """DO_SET_MODE to OFFBOARD."""
         return Command("OFFBOARD mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, float(self._MAIN_OFFBOARD)))
 
+    def idle_mode(self) -> Command:
+        """DO_SET_MODE to AUTO.LOITER; after a flight OFFBOARD stays what was asked for."""
+        return Command("hold mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, float(self._MAIN_AUTO), 3.0))
+
     def is_streaming_mode(self, custom_mode: int) -> bool:
         """Main mode OFFBOARD."""
         return custom_mode >> 16 & 0xFF == self._MAIN_OFFBOARD
@@ -157,6 +165,10 @@ class ArduCopter(Autopilot):
     def streaming_mode(self) -> Command:
         """DO_SET_MODE to GUIDED."""
         return Command("GUIDED mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, float(self._GUIDED)))
+
+    def idle_mode(self) -> Command:
+        """DO_SET_MODE to STABILIZE, which needs no position; after a flight it stays in LAND."""
+        return Command("STABILIZE mode", CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, 0.0))
 
     def is_streaming_mode(self, custom_mode: int) -> bool:
         """GUIDED."""

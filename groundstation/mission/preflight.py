@@ -75,6 +75,7 @@ class Preflight:
         self._rates = [_Rates() for _ in range(plan.size)]
         self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_set: FloatArray = np.zeros(plan.size)
+        self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_asks = np.zeros(plan.size, dtype=np.int64)
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
@@ -117,7 +118,7 @@ class Preflight:
             self._ask_for_origin(vehicle, now_ns)
             problem = (
                 self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
-                or self._readiness(vehicle, said)
+                or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
                 or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), state)
             )
@@ -235,14 +236,23 @@ class Preflight:
             )
         return None
 
-    def _readiness(self, vehicle: int, said: Mapping[int, str]) -> str | None:
+    def _readiness(self, vehicle: int, now_ns: int, said: Mapping[int, str]) -> str | None:
         fleet = self._station.fleet
         if not fleet.prearm_ok[vehicle]:
+            self._leave_the_last_flight(vehicle, now_ns)
             words = said.get(vehicle)
             return f"not ready to arm{': ' + words if words else ''}; see what the autopilot asks for"
         if fleet.landed_state[vehicle] != LANDED_ON_GROUND:
             return f"does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
         return None
+
+    def _leave_the_last_flight(self, vehicle: int, now_ns: int) -> None:
+        """Asks a vehicle that stands in the mode of its last flight, in which it cannot be armed, to leave it."""
+        autopilot, mode = self._plan.autopilots[vehicle], int(self._station.fleet.custom_mode[vehicle])
+        stuck = autopilot.is_streaming_mode(mode) or autopilot.is_landing_mode(mode)
+        if stuck and now_ns - self._mode_asked_ns[vehicle] >= _ASK_AGAIN_NS:
+            self._mode_asked_ns[vehicle] = now_ns
+            self._station.commands.request(vehicle, autopilot.idle_mode())
 
     def _clock(self, vehicle: int, now_ns: int, state: GroundState) -> str | None:
         clocks = self._station.fleet.clocks

@@ -35,12 +35,13 @@ class Flight:
         log: Path | None = None,
         limit_s: float = 200.0,
         config: WorldConfig | None = None,
+        world: World | None = None,
         change: Callable[[WorldConfig], WorldConfig] | None = None,
         prepare: Callable[[World], None] | None = None,
     ) -> None:
         self.plan = plan
         config = config or world_config(plan, seed)
-        self.world = World(config if change is None else change(config), seed)
+        self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
         self.runner = Runner(plan, 0)
@@ -53,6 +54,7 @@ class Flight:
         self._intrude = intrude
         self._interrupt_when = interrupt_when
         self._interrupts = Interrupts()
+        self._begin_ns = self.world.now_ns
         self._limit_ns = round(limit_s * SECOND_NS)
         writer = TlogWriter(log, 0) if log is not None else None
         self.session = Session(self.runner, writer)
@@ -80,14 +82,14 @@ class Flight:
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """The emulator's side of the loop, with the network's mischief."""
-        sent = self.world.advance(now_ns)
+        sent = [item._replace(t_ns=item.t_ns - self._begin_ns) for item in self.world.advance(now_ns + self._begin_ns)]
         if self._tamper is None:
             return sent
         return [arrived for datagram in sent for arrived in self._tamper(datagram, self)]
 
     def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
         """What the ground station sends, untouched."""
-        self.world.receive(vehicle_index, data, now_ns)
+        self.world.receive(vehicle_index, data, now_ns + self._begin_ns)
 
     def texts(self, kind: str) -> list[str]:
         """What was noted, of one kind."""
