@@ -394,3 +394,24 @@ def test_the_same_vehicles_fly_again_and_again(autopilots: tuple[str, str]) -> N
     second = Flight(plan, world=first.world)
     _assert_flown(second)
     assert second.now_ns < first.now_ns + 10 * SECOND_NS
+
+
+@pytest.mark.parametrize("vehicle", [0, 1])
+def test_a_reboot_in_flight_is_told_and_the_other_comes_back(vehicle: int) -> None:
+    def holding(flight: Flight) -> bool:
+        return flight.runner.phase is Phase.HOLD
+
+    flight = Flight(
+        pair("steps.1.hold.seconds=10"),
+        interrupt_when=_when(holding, lambda flight: flight.world.reboot(vehicle)),
+    )
+    assert flight.runner.outcome == "aborted"
+    assert flight.runner.reason.startswith(f"vehicle {vehicle + 1}: its autopilot has started anew; it lands where")
+    assert not flight.world.truth.armed.any()
+
+
+def test_jitter_disorder_and_copies_are_sorted_out_by_time_stamps() -> None:
+    bad = LinkConfig(jitter_ns=50_000_000, reorder=0.1, duplicate=0.1)
+    flight = Flight(pair("link_delay_s=0.2"), change=lambda world: replace(world, uplink=bad, downlink=bad))
+    _assert_flown(flight)
+    assert flight.runner.fleet.counts["older than what was there"] > 100
