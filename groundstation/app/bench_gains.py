@@ -22,7 +22,8 @@ from groundstation.app.output import Output
 from groundstation.app.resources import packaged_configs
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray
-from groundstation.design.designer import SPECTRAL_NORM, DesignResult, design
+from groundstation.design.designer import DesignResult, design
+from groundstation.design.problem import SPECTRAL_NORM
 from groundstation.design.store import load_formation
 
 SMALL = (

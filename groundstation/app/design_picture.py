@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from groundstation.core.errors import UserError
 from groundstation.design.graphs import Suggestion
@@ -31,8 +32,13 @@ def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
     space.plot(*points.T, linestyle="", marker="o", color=_BLUE, markersize=8)
     for agent, point in enumerate(points, start=1):
         space.text(*(float(value) for value in point), f"  {agent}", color=_INK)
-    space.set_xlabel("x, m")
-    space.set_ylabel("y, m")
+    space.set_xlabel("x, m", labelpad=8)
+    space.set_ylabel("y, m", labelpad=8)
+    space.set_zlabel("z, m", labelpad=6)
+    for axis in (space.xaxis, space.yaxis, space.zaxis):
+        axis.set_major_locator(MaxNLocator(5))
+    # leaves room for the labels, which the layout does not see in three dimensions
+    space.set_box_aspect(None, zoom=0.82)
     space.set_title(f"{suggestion.formation.name}: {len(suggestion.formation.edges)} edges")
     plane = figure.add_subplot(1, 2, 2)
     counts = np.array([len(row.edges) for row in suggestion.rows])

@@ -5,9 +5,10 @@ The truth is measured for the report alone; nothing of it reaches the runner.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from threading import Event, Thread
 
 import numpy as np
@@ -18,6 +19,7 @@ from groundstation.core.metrics import formation_error_m
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
+from sitl.faults import Fault, FaultError, load_faults
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 
@@ -63,8 +65,24 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     return config
 
 
+def read_faults(path: Path | None, plan: MissionPlan) -> tuple[Fault, ...]:
+    """Reads a timetable of faults for a mission's vehicles; none without a file.
+
+    Raises:
+        UserError: the file is wrong, or names a vehicle that the mission does not have.
+    """
+    if path is None:
+        return ()
+    try:
+        faults = load_faults(path)
+        World(replace(world_config(plan), faults=faults), 0)
+    except FaultError as error:
+        raise UserError(str(error)) from None
+    return faults
+
+
 @contextmanager
-def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
+def served_world(plan: MissionPlan, seed: int, faults: Sequence[Fault] = ()) -> Iterator[World]:
     """Runs an emulator behind sockets at the other end of the mission's links, in a thread, for ``--udp``.
 
     Raises:
@@ -74,7 +92,11 @@ def served_world(plan: MissionPlan, seed: int) -> Iterator[World]:
     port_per_vehicle = len(set(ports)) > 1
     stop = Event()
     with Server(
-        world_config(plan, seed), seed, port=ports[0], port_per_vehicle=port_per_vehicle, tcp_port=tcp_port
+        replace(world_config(plan, seed), faults=tuple(faults)),
+        seed,
+        port=ports[0],
+        port_per_vehicle=port_per_vehicle,
+        tcp_port=tcp_port,
     ) as server:
         thread = Thread(target=server.run, args=(stop,), name="emulator", daemon=True)
         thread.start()

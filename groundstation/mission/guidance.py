@@ -19,6 +19,8 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
 
+_LEVEL_MIN_M = 1e-3  # nearer than that there is no direction to leave in
+
 
 @dataclass(frozen=True)
 class Poses:
@@ -28,7 +30,7 @@ class Poses:
         pos_team_ned_m: shape (n, 3); NaN where never known.
         vel_ned_m_s: shape (n, 3).
         quat_ned_from_frd: shape (n, 4).
-        sinking: the position is lost and the vehicle may be coming down anywhere below it, shape (n,).
+        sinking: not steered by us, or its position is lost: it may come down anywhere below, shape (n,).
     """
 
     pos_team_ned_m: FloatArray
@@ -117,12 +119,18 @@ class Guide:
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
         """What each agent sees: its neighbours, and whoever is near enough to hit.
 
-        A vehicle whose position is lost may be anywhere below where it was last seen, for its autopilot may be
-        landing it: those below see it at their own height, so that they leave the column under it.
+        A vehicle that is not steered by us may be coming down, and one whose position is lost may be anywhere below
+        where it was last seen: those below see it at their own height, so that they leave the column under it. It
+        does its half of no manoeuvre: inside the radius it is shown twice as deep inside, so that they do both halves.
         """
         offset_ned = poses.pos_team_ned_m[None, :] - poses.pos_team_ned_m[:, None]
         under = poses.sinking[None, :] & (offset_ned[..., 2] < 0.0)
         offset_ned[..., 2] = np.where(under, 0.0, offset_ned[..., 2])
+        if under.any():
+            keep_out_m = self._damper.radius_m + self._damper.margin_m
+            beside_m = np.maximum(np.linalg.norm(offset_ned, axis=2), _LEVEL_MIN_M)
+            shown_m = np.clip(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
+            offset_ned *= np.where(under, shown_m / beside_m, 1.0)[..., None]
         near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_m**2
         views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
         if not under.any():

@@ -12,7 +12,7 @@ import numpy as np
 
 from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mavlink.vehicle import LANDED_LANDING, NEVER, Fleet
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
@@ -65,6 +65,7 @@ class Monitor:
     Attributes:
         hold: vehicles whose pose is too old to be steered by; they are told to stand still, shape (n,).
         blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
+        foreign: armed vehicles that do not follow our setpoints at this moment, for whatever reason, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -72,6 +73,7 @@ class Monitor:
         self._plan = plan
         self.hold: BoolArray = np.zeros(n, dtype=np.bool_)
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.foreign: BoolArray = np.zeros(n, dtype=np.bool_)
         self._silent: BoolArray = np.zeros(n, dtype=np.bool_)
         self._gone: BoolArray = np.zeros(n, dtype=np.bool_)
         self._mode_lost_since_ns = np.full(n, NEVER, dtype=np.int64)
@@ -190,6 +192,8 @@ class Monitor:
                 )
             ]
         )
+        # The heartbeat tells a new mode up to a second late; that it is landing, EXTENDED_SYS_STATE tells sooner.
+        self.foreign = (~ours | (fleet.landed_state == LANDED_LANDING)) & fleet.armed
         away = ~ours & ~landing & ~self._gone
         self._mode_lost_since_ns = np.where(
             away, np.where(self._mode_lost_since_ns == NEVER, now_ns, self._mode_lost_since_ns), NEVER

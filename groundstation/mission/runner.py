@@ -192,7 +192,8 @@ class Runner:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES:
             self._watch(poses, now_ns)
-            poses = replace(poses, sinking=self._monitor.blind & self.fleet.armed)
+            # Whoever does not follow us, or cannot be seen, may come down at any moment: nobody stays underneath.
+            poses = replace(poses, sinking=(self._monitor.blind | self._monitor.foreign) & self.fleet.armed)
             self._measure(poses)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
@@ -448,7 +449,7 @@ class Runner:
             self._station.commands.clear(vehicle)
         self._landing.want(findings.land, now_ns)
         self._landing.step(now_ns, poses, self._released)
-        if findings.abort and self.outcome is None:
+        if findings.abort:
             self._give_up(findings.abort, now_ns)
 
     def _give_up(self, reason: str, now_ns: int, *, stop: bool = False) -> None:

@@ -214,3 +214,27 @@ def test_flying_does_not_load_what_only_reports_and_designs_need() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_timetable_of_faults_goes_with_a_dry_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("faults.yaml").write_text("faults:\n  - {kind: arming_refused, vehicles: [4]}\n", encoding="utf-8")
+    fly = ["fly", "--mission", "cube8.yaml", "--dry-run", "--json", "--set", "limits.arming_s=5"]
+    code, out, _ = _gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["outcome"], values["converged"]) == (1, "aborted", False)
+    assert values["reason"].startswith("vehicle 4: not armed in mode")
+    for text, message in (
+        ("faults: [{kind: gremlins}]", "faults.yaml: faults[0].kind: 'gremlins' is unknown"),
+        ("faults: [{kind: reboot, vehicles: [99]}]", "99"),
+        ("faults: [", "is no YAML"),
+    ):
+        Path("faults.yaml").write_text(text, encoding="utf-8")
+        code, _, err = _gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
+        assert code == 2, text
+        assert message in err
+    code, _, err = _gs(["fly", "--mission", "cube8.yaml", "--faults", "faults.yaml"], monkeypatch, capsys)
+    assert code == 2
+    assert "faults are for a dry run" in err

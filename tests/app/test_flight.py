@@ -329,6 +329,25 @@ def test_a_pilot_who_takes_over_is_not_fought() -> None:
     assert flight.world.min_distance_airborne_m >= 0.45
 
 
+@pytest.mark.parametrize("vehicle", range(8))
+def test_nobody_stays_under_a_vehicle_that_its_pilot_lands_from_the_formation(vehicle: int) -> None:
+    pilot = Encoder(254, 1)
+    told: list[int] = []
+
+    def land(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.HOLD and not told:
+            told.append(flight.now_ns)
+            command = pilot.encode("COMMAND_LONG", target_system=vehicle + 1, target_component=1, command=21)
+            flight.world.receive(vehicle, command, flight.now_ns)
+        return False
+
+    flight = Flight(cube8(), interrupt_when=land)
+    assert flight.runner.outcome == "aborted"
+    assert f"vehicle {vehicle + 1}: left for mode AUTO.LAND" in flight.runner.reason
+    assert _all_down(flight)
+    assert flight.world.min_distance_airborne_m >= 0.45
+
+
 def test_strange_bytes_on_the_link_change_nothing() -> None:
     rng = np.random.default_rng(5)
     stranger = Encoder(99)

@@ -13,17 +13,18 @@ from typing import Annotated
 import numpy as np
 import typer
 import yaml
+from rich.markup import escape
 from rich.table import Table
 
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.core.errors import MissionFailed, UserError
 from groundstation.core.formation import Formation
-from groundstation.design.designer import METHODS, SPECTRAL_NORM, DesignResult, evaluator
+from groundstation.design.designer import METHODS, DesignResult, evaluator
 from groundstation.design.designer import design as design_gains
 from groundstation.design.diagnosis import WEAK, Mend, mend, names, weak_agents
 from groundstation.design.graphs import SHARE, Kind, Suggestion, suggest
-from groundstation.design.problem import Progress, Watch, split
+from groundstation.design.problem import SPECTRAL_NORM, Progress, Watch, split
 from groundstation.design.robustness import Robustness, assess
 from groundstation.design.store import load_formation, save_gains
 
@@ -52,6 +53,7 @@ def design(
     """Designs the gains of a formation and proves what they are worth."""
     out = Output(as_json=as_json)
     _check_options(method, gap, budget, graph, max_degree)
+    _check_graph_options(graph, sensing_range, max_degree, graph_file, picture)
     shape = load_formation(find_config(formation, "formations"))
     values: dict[str, object] = {}
     if graph is not None:
@@ -67,10 +69,10 @@ def design(
     start_ns = time.monotonic_ns()
     with interruptible(out, budget) as watch:
         result = design_gains(shape, method=method, gap=gap, watch=watch)
-    seconds = (time.monotonic_ns() - start_ns) / 1e9
-    values = summary(result, seconds) | values
-    _show(out, result, seconds)
-    repair = None if result.feasible else _mend(out, result)
+        seconds = (time.monotonic_ns() - start_ns) / 1e9
+        values = summary(result, seconds) | values
+        _show(out, result, seconds)
+        repair = None if result.feasible else _mend(out, result, watch)
     if repair is not None:
         values["mend"] = [[i + 1, j + 1] for i, j in repair.edges]
     if result.gains is not None and result.certificate is not None:
@@ -84,7 +86,7 @@ def design(
             out.console.print(f"written: {output}", markup=False)
     out.result(values)
     if not result.feasible:
-        raise MissionFailed(f"{shape.name}: not feasible: {result.reason}")
+        raise MissionFailed(f"{shape.name}: {'' if result.undecided else 'not feasible: '}{result.reason}")
 
 
 def _check_options(
@@ -100,6 +102,24 @@ def _check_options(
         raise UserError(f"--suggest-graph {graph}: unknown; known are {', '.join(SHARE)}")
     if max_degree is not None and max_degree < 1:
         raise UserError(f"--max-degree {max_degree}: must be at least 1")
+
+
+def _check_graph_options(
+    graph: str | None, range_m: float, max_degree: int | None, graph_file: Path | None, picture: Path | None
+) -> None:
+    if not range_m > 0:
+        raise UserError(f"--range {range_m:g}: must be more than 0 m")
+    given = {
+        "--range": np.isfinite(range_m),
+        "--max-degree": max_degree is not None,
+        "--graph-file": graph_file is not None,
+        "--picture": picture is not None,
+    }
+    useless = [option for option, is_given in given.items() if is_given]
+    if graph is None and useless:
+        raise UserError(
+            f"{', '.join(useless)}: only for a suggested graph; add --suggest-graph sparse, balanced or robust"
+        )
 
 
 @contextmanager
@@ -158,7 +178,7 @@ def summary(result: DesignResult, seconds: float) -> dict[str, object]:
 
 def _show(out: Output, result: DesignResult, seconds: float) -> None:
     shape, figures = result.formation, result.certificate
-    title = f"{shape.name}: {shape.size} agents, {len(shape.edges)} edges, {result.method}, {seconds:.3f} s"
+    title = escape(f"{shape.name}: {shape.size} agents, {len(shape.edges)} edges, {result.method}, {seconds:.3f} s")
     if figures is not None:
         table = Table("", "slowest mode", "at most", "fastest", "zeros", title=title, title_justify="left")
         for name, block in (("xy", figures.xy), ("z", figures.z)):
@@ -186,12 +206,15 @@ def _show(out: Output, result: DesignResult, seconds: float) -> None:
             )
 
 
-def _mend(out: Output, result: DesignResult) -> Mend | None:
-    if result.certificate is None or result.formation.size > _MEND_LIMIT:
+def _mend(out: Output, result: DesignResult, watch: Watch) -> Mend | None:
+    """Edges that would make a formation feasible that was proven not to be."""
+    if result.certificate is None or result.undecided or result.formation.size > _MEND_LIMIT or watch.stop():
         return None
-    found = mend(result.formation, result.certificate, evaluator(gap=0.2))
+    out.console.print("looking for edges that mend it (Ctrl-C ends the search)", style="dim")
+    found = mend(result.formation, result.certificate, evaluator(gap=0.2), stop=watch.stop)
     if found is None:
-        out.console.print("no edges would help")
+        cut = "time ran out before edges that would help were found"
+        out.console.print(cut if watch.stop() else "no edges would help")
         return None
     edges = ", ".join(f"{i + 1} to {j + 1}" for i, j in found.edges)
     count = "fewest" if found.fewest else "few"
@@ -201,7 +224,7 @@ def _mend(out: Output, result: DesignResult) -> Mend | None:
 
 def _show_suggestion(out: Output, found: Suggestion, graph: str) -> None:
     shape = found.formation
-    table = Table("edges", "slowest mode", "", title=f"{shape.name}: {graph} graph", title_justify="left")
+    table = Table("edges", "slowest mode", "", title=escape(f"{shape.name}: {graph} graph"), title_justify="left")
     for row in found.rows:
         mark = "chosen" if row.edges == found.formation.edges else ""
         table.add_row(str(len(row.edges)), f"{row.slowest:.3f} 1/s" if row.slowest > 0 else "infeasible", mark)

@@ -6,13 +6,14 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from groundstation.app.emulator import TruthMeter, served_world, world_config
+from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
 from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay
@@ -32,6 +33,7 @@ from groundstation.records.manifest import (
     write_manifest,
 )
 from groundstation.records.tlog import TlogWriter
+from sitl.faults import Fault
 from sitl.world import World
 
 _FLIGHTS = Path("flights")
@@ -52,6 +54,9 @@ def fly(
     realtime: Annotated[bool, typer.Option("--realtime", help="Hold a dry run to the wall clock.")] = False,
     udp: Annotated[bool, typer.Option("--udp", help="Dry run over UDP sockets, on the wall clock.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the emulator's noise.", min=0)] = 0,
+    faults: Annotated[
+        Path | None, typer.Option(help="Timetable of faults (YAML) for a dry run; time 0 is the vehicles' power-up.")
+    ] = None,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
     changes: SetOption = None,
     as_json: JsonOption = False,
@@ -63,13 +68,16 @@ def fly(
     out = Output(as_json=as_json)
     if (realtime or udp) and not dry_run:
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
+    if faults is not None and not dry_run:
+        raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), changes or ())
+    timetable = read_faults(faults, plan)
     log_path = _log_path(plan, log, dry_run=dry_run, seed=seed)
     started = time.monotonic()
     if dry_run and not udp:
-        values = _dry_run(out, plan, log_path, seed=seed, realtime=realtime)
+        values = _dry_run(out, plan, log_path, timetable, seed=seed, realtime=realtime)
     else:
-        values = _real_flight(out, plan, log_path, emulated_seed=seed if dry_run else None)
+        values = _real_flight(out, plan, log_path, timetable, emulated_seed=seed if dry_run else None)
     refused = values.pop("refused")
     values["wall_s"] = round(time.monotonic() - started, 3)
     _tell(out, values)
@@ -132,9 +140,11 @@ def _log_path(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: in
     return path
 
 
-def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realtime: bool) -> dict[str, Any]:
+def _dry_run(
+    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, seed: int, realtime: bool
+) -> dict[str, Any]:
     """Flies the emulator in virtual time."""
-    world = World(world_config(plan, seed), seed)
+    world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
     with _recording(log_path, manifest, plan) as log:
@@ -154,13 +164,15 @@ def _dry_run(out: Output, plan: MissionPlan, log_path: Path, *, seed: int, realt
     return values
 
 
-def _real_flight(out: Output, plan: MissionPlan, log_path: Path, *, emulated_seed: int | None) -> dict[str, Any]:
+def _real_flight(
+    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, emulated_seed: int | None
+) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
     with ExitStack() as stack:
         links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
         meter = None
         if emulated_seed is not None:
-            meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed)))
+            meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
         clock = FlightClock()
         manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
         log = stack.enter_context(_recording(log_path, manifest, plan))

@@ -194,6 +194,8 @@ def _picture(server: Server) -> Group:
             str(server.ground_stations[i]),
         )
     lines = [Text(f"late by {server.late_ns / 1e9:.1f} s: this machine is too slow")] if server.late_ns else []
+    if errors := sum(world.frame_errors):
+        lines.append(Text(f"{errors} frames could not be handled and were dropped"))
     if world.n > _ROWS_SHOWN:
         lines.append(Text(f"and {world.n - _ROWS_SHOWN} more"))
     for item in world.active_faults:
