@@ -33,7 +33,7 @@ def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
     for agent, point in enumerate(points, start=1):
         space.text(*(float(value) for value in point), f"  {agent}", color=_INK)
     space.set_xlabel("x, m", labelpad=8)
-    space.set_ylabel("y, m", labelpad=8)
+    space.set_ylabel("y, m", labelpad=12)
     space.set_zlabel("z, m", labelpad=6)
     for axis in (space.xaxis, space.yaxis, space.zaxis):
         axis.set_major_locator(MaxNLocator(5))

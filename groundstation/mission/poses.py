@@ -121,6 +121,11 @@ class TeamFrame:
             self._shift_ned_m[at_pad] = gap[at_pad]
         self.settled = True
 
+    def local_origins_enu_m(self) -> FloatArray:
+        """Where LOCAL_POSITION_NED of each vehicle begins, team frame ENU, shape (n, 3); NaN where it is not used."""
+        origins = frames.enu_from_ned(self.origin_team_ned_m + self._shift_ned_m)
+        return np.where(self._global[:, None], np.nan, origins)
+
     def words(self) -> list[str]:
         """Where the local frames lie, for the log: a line for each vehicle whose frame was not declared."""
         lines = []

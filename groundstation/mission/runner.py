@@ -155,6 +155,11 @@ class Runner:
         return self._station.setpoints_sent
 
     @property
+    def local_origins_enu_m(self) -> FloatArray:
+        """Where the vehicles' own local frames begin in the team frame, see ``TeamFrame.local_origins_enu_m``."""
+        return self._frame.local_origins_enu_m()
+
+    @property
     def airborne(self) -> BoolArray:
         """Vehicles that are armed and do not report to stand on the ground, shape (n,)."""
         airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)

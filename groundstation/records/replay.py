@@ -268,10 +268,11 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
             case Noise():
                 noise_bytes += len(record.data)
     mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
+    result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
     return Flight(
         name=str(mission.get("name") or path.stem),
         manifest=manifest,
-        vehicles=_tracks(path, mission, positions, setpoints),
+        vehicles=_tracks(path, mission, result, positions, setpoints),
         formation=_formation(path, mission),
         safety_radius_m=_radius(path, mission),
         roles=tuple(roles),
@@ -289,12 +290,13 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
 def _tracks(
     path: Path,
     mission: Mapping[str, Any],
+    result: Mapping[str, Any],
     positions: Sequence[tuple[int, Frame]],
     setpoints: Sequence[tuple[int, Frame]],
 ) -> tuple[VehicleTrack, ...]:
     pos_t, pos_id, pos = _columns(positions, ("x", "y", "z"), sender=True)
     set_t, set_id, vel = _columns(setpoints, ("vx", "vy", "vz"), sender=False)
-    offsets = _offsets(path, mission)
+    offsets = _offsets(path, mission, result)
     tracks = []
     for sysid in offsets or {int(item): None for item in np.unique(pos_id)}:
         offset = offsets.get(sysid)
@@ -347,16 +349,23 @@ def _interpolate(track: VehicleTrack, t_ns: IntArray) -> FloatArray:
     return np.where(exact[:, None], points[inside], np.where(between[:, None], line, np.nan))
 
 
-def _offsets(path: Path, mission: Mapping[str, Any]) -> dict[int, FloatArray | None]:
-    """Where each vehicle's own origin lies in the team's frame; None where that is not known."""
+def _offsets(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> dict[int, FloatArray | None]:
+    """Where each vehicle's own origin lies in the team's frame; None where that is not known.
+
+    What the flight found out (``local_origins_enu_m`` of its result) comes before what the mission says.
+    """
     offsets: dict[int, FloatArray | None] = {}
+    found = result.get("local_origins_enu_m") or ()
     for index, vehicle in enumerate(mission.get("vehicles") or ()):
         where = f"{path}: manifest: mission.vehicles[{index}]"
         try:
             sysid, origin = int(vehicle["id"]), vehicle.get("origin", "pad")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise UserError(f"{where}: no usable id; the manifest is damaged") from error
-        if origin == "team":
+        told = found[index] if index < len(found) else None
+        if told is not None and None not in told:
+            offsets[sysid] = _vectors(f"{path}: manifest: result.local_origins_enu_m[{index}]", told, (3,))
+        elif origin == "team":
             offsets[sysid] = np.zeros(3)
         elif origin == "pad":
             offsets[sysid] = _vectors(f"{where}.pad_m", vehicle.get("pad_m"), (3,))

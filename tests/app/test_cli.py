@@ -238,3 +238,17 @@ def test_a_timetable_of_faults_goes_with_a_dry_run(
     code, _, err = _gs(["fly", "--mission", "cube8.yaml", "--faults", "faults.yaml"], monkeypatch, capsys)
     assert code == 2
     assert "faults are for a dry run" in err
+
+
+def test_a_flight_by_gps_can_be_looked_at_like_any_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    fly = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--json", "--log", "a.tlog"]
+    code, out, _ = _gs(fly, monkeypatch, capsys)
+    assert code == 0
+    true_m = json.loads(out.splitlines()[-1])["min_distance_m"]
+    code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["mismatches"]) == (0, 0)
+    assert values["min_distance_m"] == pytest.approx(true_m, abs=1.0)  # what GPS says, not what is

@@ -160,7 +160,7 @@ def _dry_run(
                 pace=wall_clock_pace() if realtime else None,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | {"counts": dict(session.runner.fleet.counts)}))
+    write_manifest(manifest_path(log_path), manifest.finished(values | _for_the_record(session.runner)))
     return values
 
 
@@ -183,12 +183,12 @@ def _real_flight(
             fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
         values = _values(session.runner, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *_troubles(links)]) if values["reason"] else ""
-        counts = dict(session.runner.fleet.counts)
+        record = _for_the_record(session.runner)
         for url, link in zip(plan.links, links, strict=True):
-            counts[f"errors of {url}"] = link.errors
+            record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | {"counts": counts}))
+    write_manifest(manifest_path(log_path), manifest.finished(values | record))
     return values
 
 
@@ -235,6 +235,11 @@ def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
         "log": str(log_path),
         "seed": seed,
     }
+
+
+def _for_the_record(runner: Runner) -> dict[str, Any]:
+    """What the manifest keeps beside the figures: events that were only counted, and where local frames begin."""
+    return {"counts": dict(runner.fleet.counts), "local_origins_enu_m": runner.local_origins_enu_m}
 
 
 def _tell(out: Output, values: Mapping[str, Any]) -> None:
