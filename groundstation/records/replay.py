@@ -269,6 +269,11 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
                 noise_bytes += len(record.data)
     mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
     result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    if result.get("local_origins_enu_m"):
+        # Where the local frames begin was settled just before arming; vehicles by GPS may have moved theirs until then.
+        settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), start_ns)
+        moved = {v.get("id") for v in mission.get("vehicles") or () if v.get("origin", "pad") not in ("pad", "team")}
+        positions = [item for item in positions if item[0] >= settled_ns or item[1].sysid not in moved]
     return Flight(
         name=str(mission.get("name") or path.stem),
         manifest=manifest,

@@ -221,11 +221,11 @@ def test_a_timetable_of_faults_goes_with_a_dry_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("faults.yaml").write_text("faults:\n  - {kind: arming_refused, vehicles: [4]}\n", encoding="utf-8")
-    fly = ["fly", "--mission", "cube8.yaml", "--dry-run", "--json", "--set", "limits.arming_s=5"]
+    fly = ["fly", "--mission", "cube8.yaml", "--dry-run", "--json", "--set", "limits.preflight_s=5"]
     code, out, _ = _gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
-    assert (code, values["outcome"], values["converged"]) == (1, "aborted", False)
-    assert values["reason"].startswith("vehicle 4: not armed in mode")
+    assert (code, values["outcome"], values["setpoints"]) == (3, "aborted", 0)
+    assert values["reason"].startswith("vehicle 4: not ready to arm")
     for text, message in (
         ("faults: [{kind: gremlins}]", "faults.yaml: faults[0].kind: 'gremlins' is unknown"),
         ("faults: [{kind: reboot, vehicles: [99]}]", "99"),
@@ -244,7 +244,7 @@ def test_a_flight_by_gps_can_be_looked_at_like_any_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    fly = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--json", "--log", "a.tlog"]
+    fly = ["fly", "--mission", "px4_cube8.yaml", "--dry-run", "--json", "--log", "a.tlog"]
     code, out, _ = _gs(fly, monkeypatch, capsys)
     assert code == 0
     true_m = json.loads(out.splitlines()[-1])["min_distance_m"]
