@@ -46,7 +46,7 @@ _GUIDED_FLAG = _NEED_POSITION
 
 CRITICAL, WARNING, INFO = 2, 4, 6
 _SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x10000 | 0x200000
-_PREARM = 0x10000000
+_GEOFENCE, _PREARM = 0x100000, 0x10000000
 _EXTERNAL_NAV = 6
 
 DATA_STREAMS: dict[int, tuple[str, ...]] = {
@@ -144,7 +144,8 @@ class ArduCopter(Autopilot):
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
         present = _SENSORS | _PREARM
-        health = _SENSORS | (_PREARM if self.arm_refusal() is None else 0)
+        # a fence that was never set up is neither present nor breached: its health bit stands
+        health = _SENSORS | _GEOFENCE | (_PREARM if self.arm_refusal() is None else 0)
         if not self.has_position:
             health &= ~0x200000
         return present, present, health

@@ -196,8 +196,7 @@ class Autopilot(Protocol):
         if self.vision is not None:
             self.vision.tick(now_ns)
         self.battery.drain(float(world.dynamics.thrust_m_s2[i]) / 9.80665 * self.armed, dt_s)
-        if self.battery.left <= 0.0:
-            world.dynamics.thrust_share[i] = 0.0
+        world.dynamics.thrust_share[i] = world.motor_share[i] if self.battery.left > 0.0 else 0.0
         if self._param_queue:
             self.send_queued_params()
         if self._upload is not None:

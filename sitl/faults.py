@@ -13,7 +13,7 @@ kinds, unknown keys and numbers out of range.
 
 from __future__ import annotations
 
-import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 SECOND = 1_000_000_000
 _NEVER = 1 << 62
+_TIME_MAX_S = 1e6
+_WHOLE_MAX = 1 << 62  # beyond this a whole number of a file is a mistake, and may not even fit a float
+_short = reprlib.repr  # people write anything, of any length and depth
 
 
 class FaultError(ValueError):
@@ -69,6 +72,7 @@ VEHICLE_KINDS: dict[str, dict[str, Number]] = {
     "clock_jump": {"seconds": Number(None, -1e6, 1e6)},
 }
 """Faults of a vehicle."""
+_STATES = set(VEHICLE_KINDS) - {"position_jump", "position_drift", "reboot", "battery_level", "clock_jump"}
 KINDS = {**LINK_KINDS, **VEHICLE_KINDS}
 DIRECTIONS = ("up", "down", "both")
 
@@ -109,8 +113,8 @@ class Fault:
         if unknown:
             raise FaultError(f"{sorted(unknown)[0]}: unknown; {self.kind} takes {', '.join(takes) or 'no numbers'}")
         for name, value in (("at_s", self.at_s), ("for_s", self.for_s)):
-            if value is not None and not (math.isfinite(value) and value >= 0.0):
-                raise FaultError(f"{name}: {value}, has to be 0 or more")
+            if value is not None and not 0.0 <= value <= _TIME_MAX_S:
+                raise FaultError(f"{name}: {value}, has to be 0 or more, up to {_TIME_MAX_S:.0f}")
 
     def number(self, name: str) -> float:
         """A number of this fault, or its default."""
@@ -125,19 +129,23 @@ def parse_fault(data: Any) -> Fault:
         FaultError: naming the key, the value and the limit.
     """
     if not isinstance(data, Mapping) or "kind" not in data:
-        raise FaultError(f"{data!r}: a mapping with a kind is needed, like {{kind: blackout, at_s: 5}}")
+        raise FaultError(f"{_short(data)}: a mapping with a kind is needed, like {{kind: blackout, at_s: 5}}")
+    if not isinstance(data["kind"], str):
+        raise FaultError(f"kind: {_short(data['kind'])} is unknown; choose one of {', '.join(KINDS)}")
     rest = {key: value for key, value in data.items() if key not in ("kind", "at_s", "for_s", "vehicles", "direction")}
     for name in ("at_s", "for_s", *rest):
         value = data.get(name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise FaultError(f"{name}: {value!r} is no number")
+            raise FaultError(f"{name}: {_short(value)} is no number")
+        if isinstance(value, int) and abs(value) > _WHOLE_MAX:
+            raise FaultError(f"{name}: {_short(value)} is out of all bounds")
     vehicles = data.get("vehicles", ())
-    if not isinstance(vehicles, Sequence) or not all(isinstance(v, int) and 1 <= v <= 255 for v in vehicles):
-        raise FaultError(f"vehicles: {vehicles!r}, a list of system ids from 1 to 255 is needed")
+    if not isinstance(vehicles, Sequence) or not all(type(v) is int and 1 <= v <= 255 for v in vehicles):
+        raise FaultError(f"vehicles: {_short(vehicles)}, a list of system ids from 1 to 255 is needed")
     if "direction" in data and data["kind"] not in LINK_KINDS:
         raise FaultError(f"direction: {data['kind']} has none; only faults of a link do")
     return Fault(
-        kind=str(data["kind"]),
+        kind=data["kind"],
         at_s=float(data.get("at_s", 0.0)),
         for_s=None if data.get("for_s") is None else float(data["for_s"]),
         vehicles=tuple(vehicles),
@@ -160,6 +168,10 @@ def parse_faults(text: str, source: str = "faults") -> tuple[Fault, ...]:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise FaultError(f"{source}: is no YAML: {' '.join(str(error).split())}") from error
+    except RecursionError as error:
+        raise FaultError(f"{source}: is nested too deeply; a list of mappings is needed") from error
+    except (OverflowError, ValueError) as error:  # numbers and dates that YAML knows and Python cannot hold
+        raise FaultError(f"{source}: holds a value that cannot be read: {error}") from error
     if isinstance(data, Mapping):
         unknown = set(data) - {"faults"}
         if unknown:
@@ -207,12 +219,15 @@ class FaultDesk:
             ((start_ns + round(fault.at_s * SECOND), order, fault) for order, fault in enumerate(faults)), reverse=True
         )
         self._base = [(uplink.config, downlink.config) for uplink, downlink in world.links]
-        known = {vehicle.sysid for vehicle in world.config.vehicles}
+        self._check(faults)
+        self._plan()
+
+    def _check(self, faults: Sequence[Fault]) -> None:
+        known = {vehicle.sysid for vehicle in self._world.config.vehicles}
         for fault in faults:
             for sysid in fault.vehicles:
                 if sysid not in known:
                     raise FaultError(f"{fault.kind}: vehicles: {sysid} is not among the emulated ones")
-        self._plan()
 
     def _plan(self) -> None:
         begins = self._waiting[-1][0] if self._waiting else _NEVER
@@ -227,9 +242,11 @@ class FaultDesk:
             self._end(entry)
         self._plan()
 
-    def inject(self, fault: Fault) -> None:
-        """Begins a fault now, whatever its ``at_s``."""
-        self._begin(fault, self._world.now_ns)
+    def inject(self, *faults: Fault) -> None:
+        """Begins faults now, whatever their ``at_s``; all, or none when a vehicle is not there (FaultError)."""
+        self._check(faults)
+        for fault in faults:
+            self._begin(fault, self._world.now_ns)
         self._plan()
 
     def clear(self) -> None:
@@ -262,32 +279,40 @@ class FaultDesk:
         world.estimator.refresh()
 
     def _apply_to(self, fault: Fault, i: int, on: bool) -> None:
-        world, kind = self._world, fault.kind
-        pilot, estimator = world.autopilots[i], world.estimator
-        if kind == "position_frozen":
-            world.frozen[i] = on
-            world.frozen_pos_enu_m[:, i] = pilot.pos_est()
-        elif kind == "position_nan":
-            world.invalid[i] = on
-        elif kind == "position_jump":
+        estimator, kind = self._world.estimator, fault.kind
+        if kind == "position_jump":
             jump = [fault.number(axis) for axis in ("east_m", "north_m", "up_m")]
             estimator.offset_enu_m[:, i] += jump if on else [-value for value in jump]
         elif kind == "position_drift":
             drift = [fault.number(axis) for axis in ("east_m_s", "north_m_s", "up_m_s")]
             estimator.drift_enu_m_s[:, i] += drift if on else [-value for value in drift]
+        elif kind in _STATES:
+            self._set_state(kind, i)
+        elif on:
+            self._once(fault, i)
+
+    def _set_state(self, kind: str, i: int) -> None:
+        """Gives a vehicle what all active faults of one kind add up to."""
+        world, pilot = self._world, self._world.autopilots[i]
+        faults = [fault for fault, _ in self.active if fault.kind == kind and i in self._indices(fault)]
+        on = bool(faults)
+        if kind == "position_frozen":
+            if on and not world.frozen[i]:
+                world.frozen_pos_enu_m[:, i] = pilot.pos_est()
+            world.frozen[i] = on
+        elif kind == "position_nan":
+            world.invalid[i] = on
         elif kind == "heartbeat_missing":
             world.muted["HEARTBEAT"][i] = on
         elif kind == "battery_drain":
-            pilot.battery.extra_per_s = fault.number("percent_per_s") / 100.0 if on else 0.0
+            pilot.battery.extra_per_s = sum(fault.number("percent_per_s") for fault in faults) / 100.0
         elif kind == "motor_failure":
             world.dynamics.tumbling[i] = on
-            world.dynamics.thrust_share[i] = fault.number("thrust_share") if on else 1.0
+            world.motor_share[i] = min((fault.number("thrust_share") for fault in faults), default=1.0)
         elif kind == "arming_refused":
             pilot.deny_arming = on
         elif kind == "commands_ignored":
             pilot.ignore_commands = on
-        elif on:
-            self._once(fault, i)
 
     def _once(self, fault: Fault, i: int) -> None:
         """The faults that happen at one moment."""

@@ -29,12 +29,14 @@ class MissionFlight:
         self._pilot = pilot
         self._target: Point | None = None
         self._reached_ns: int | None = None
+        self._seq = 0  # the item that the target belongs to
 
     def act(self, entering: bool) -> None:
         """Moves on; called every tick while the mission mode acts."""
         pilot = self._pilot
+        if entering or pilot.mission_seq != self._seq:
+            self._target, self._seq = None, pilot.mission_seq
         if entering:
-            self._target = None
             pilot.limit_speed()
         if pilot.mission_seq >= len(pilot.mission):
             pilot.mission_over()

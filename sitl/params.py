@@ -45,11 +45,13 @@ class ParamSet:
         return kind in _INTEGERS
 
     def set_value(self, name: str, value: float) -> bool:
-        """Stores a value as its type holds it. Returns whether it changed."""
+        """Stores a value as its type holds it; NaN and infinity change nothing. Returns whether it changed."""
         old, kind = self._values[name]
+        if not math.isfinite(value):
+            return False
         if kind in _INTEGERS:
             limit = float(2 ** {INT8: 7, INT16: 15}.get(kind, 31))
-            new = float(round(min(max(value, -limit), limit - 1.0))) if math.isfinite(value) else old
+            new = float(round(min(max(value, -limit), limit - 1.0)))
         else:
             new = struct.unpack("<f", struct.pack("<f", value))[0]
         self._values[name] = (new, kind)

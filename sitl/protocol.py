@@ -26,6 +26,8 @@ _TYPE_GCS = 6
 V1_LAST_ID = 255
 _ITEM_PATIENCE_NS = 250_000_000
 _ITEM_TRIES = 20
+MISSION_ACCEPTED, MISSION_UNSUPPORTED, MISSION_BAD_X, MISSION_BAD_Y, MISSION_BAD_SEQUENCE = 0, 3, 10, 11, 13
+_FLIGHT, _ALL_KINDS = 0, 255  # mission types; fences (1) and rally points (2) are not emulated
 
 MSG_HEARTBEAT, MSG_PING, MSG_SET_MODE = 0, 4, 11
 MSG_PARAM_REQUEST_READ, MSG_PARAM_REQUEST_LIST, MSG_PARAM_SET = 20, 21, 23
@@ -84,8 +86,10 @@ class Protocol:
             MSG_MISSION_ITEM: self._on_mission_item,
             MSG_MISSION_ITEM_INT: self._on_mission_item,
             MSG_MISSION_CLEAR_ALL: self._on_mission_clear,
+            MSG_MISSION_SET_CURRENT: self._on_mission_set_current,
         }
         self.commands: dict[int, Command] = {
+            224: lambda p, _f: ACCEPTED if self._set_current(whole(p[0])) else DENIED,
             410: lambda p, f: self._request(242, f),  # GET_HOME_POSITION
             510: self._get_interval,
             511: self._set_interval,
@@ -129,6 +133,8 @@ class Protocol:
         """Handles one frame of a ground station or companion; unknown types are ignored."""
         handler = self.messages.get(frame.msgid)
         if handler is None or frame.sysid == self.sysid:
+            return
+        if self.ignore_commands and frame.msgid in (MSG_SET_MODE, MSG_MISSION_SET_CURRENT):  # commands in all but name
             return
         if frame.version == 2 and self.config.mavlink_version == 0:
             self.encoder.version = 2
@@ -271,7 +277,9 @@ class Protocol:
         _, _, kind = self.params.at(position)
         if self.param_bytewise and self.params.is_integer(kind):
             value = struct.unpack("<i", struct.pack("<f", value))[0]
-        if self.params.set_value(name, value):
+        # sent bytewise, a value of another type means another number: it is refused and the old one told
+        refused = self.param_bytewise and fields["param_type"] != kind
+        if not refused and self.params.set_value(name, value):
             self.param_changed(name)
         self._send_param(position)
 
@@ -283,8 +291,14 @@ class Protocol:
 
     # -- missions -----------------------------------------------------------------------------------------------
 
-    def _mission_ack(self, result: int, frame: Frame) -> None:
-        self.send("MISSION_ACK", target_system=frame.sysid, target_component=frame.compid, type=result)
+    def _mission_ack(self, result: int, kind: int, frame: Frame) -> None:
+        self.send(
+            "MISSION_ACK",
+            target_system=frame.sysid,
+            target_component=frame.compid,
+            type=result,
+            mission_type=kind,
+        )
 
     def _on_mission_list(self, fields: Fields, frame: Frame) -> None:
         kind = fields.get("mission_type", 0)
@@ -298,9 +312,9 @@ class Protocol:
         )
 
     def _on_mission_request(self, fields: Fields, frame: Frame) -> None:
-        seq = fields["seq"]
-        if fields.get("mission_type", 0) != 0 or seq >= len(self.mission):
-            self._mission_ack(13, frame)  # MAV_MISSION_INVALID_SEQUENCE
+        seq, kind = fields["seq"], fields.get("mission_type", 0)
+        if kind != _FLIGHT or seq >= len(self.mission):
+            self._mission_ack(MISSION_BAD_SEQUENCE, kind, frame)
             return
         item = {k: v for k, v in self.mission[seq].items() if not k.startswith("target_")}
         name = "MISSION_ITEM_INT"
@@ -312,11 +326,13 @@ class Protocol:
 
     def _on_mission_count(self, fields: Fields, frame: Frame) -> None:
         kind = fields.get("mission_type", 0)
+        if kind != _FLIGHT:
+            self._mission_ack(MISSION_UNSUPPORTED, kind, frame)
+            return
         if fields["count"] == 0:
-            if kind == 0:
-                self.mission = []
-                self.mission_changed()
-            self._mission_ack(0, frame)
+            self.mission = []
+            self.mission_changed()
+            self._mission_ack(MISSION_ACCEPTED, kind, frame)
             return
         self._upload = {"count": fields["count"], "items": [], "kind": kind}
         self._ask_item(frame)
@@ -335,20 +351,26 @@ class Protocol:
 
     def _on_mission_item(self, fields: Fields, frame: Frame) -> None:
         upload = self._upload
-        if upload is None:
+        kind = fields.get("mission_type", 0)
+        if upload is None or kind != upload["kind"]:
             return
         if fields["seq"] == len(upload["items"]):
             item = dict(fields)
             if frame.msgid == MSG_MISSION_ITEM:
                 scale = 1e7 if item["frame"] not in (1, 2) else 1e4
-                item["x"], item["y"] = round(item["x"] * scale), round(item["y"] * scale)
+                for axis, refusal in (("x", MISSION_BAD_X), ("y", MISSION_BAD_Y)):
+                    # NaN fails the comparison too; what is stored has to fit MISSION_ITEM_INT
+                    if not abs(item[axis] * scale) <= 0x7FFFFFFF:
+                        self._upload = None
+                        self._mission_ack(refusal, kind, frame)
+                        return
+                    item[axis] = round(item[axis] * scale)
             upload["items"].append(item)
         if len(upload["items"]) == upload["count"]:
-            if upload["kind"] == 0:
-                self.mission = upload["items"]
-                self.mission_changed()
+            self.mission = upload["items"]
+            self.mission_changed()
             self._upload = None
-            self._mission_ack(0, frame)
+            self._mission_ack(MISSION_ACCEPTED, kind, frame)
         else:
             self._ask_item(frame)
 
@@ -364,10 +386,25 @@ class Protocol:
             return
         self._ask_item(upload["from"])
 
-    def _on_mission_clear(self, _fields: Fields, frame: Frame) -> None:
+    def _on_mission_clear(self, fields: Fields, frame: Frame) -> None:
+        kind = fields.get("mission_type", 0)
+        if kind not in (_FLIGHT, _ALL_KINDS):
+            self._mission_ack(MISSION_UNSUPPORTED, kind, frame)
+            return
         self.mission = []
         self.mission_changed()
-        self._mission_ack(0, frame)
+        self._mission_ack(MISSION_ACCEPTED, kind, frame)
+
+    def _set_current(self, seq: int) -> bool:
+        """Goes on with another item of the mission. Returns whether there is such an item."""
+        if not 0 <= seq < len(self.mission):
+            return False
+        self.mission_seq = seq
+        self.send("MISSION_CURRENT", seq=seq, total=len(self.mission))
+        return True
+
+    def _on_mission_set_current(self, fields: Fields, _frame: Frame) -> None:
+        self._set_current(fields["seq"])
 
     def mission_changed(self) -> None:
         """Reacts to a new mission: it starts at its beginning."""

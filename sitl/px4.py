@@ -38,6 +38,7 @@ _MODES = {
     TAKEOFF: "AUTO.TAKEOFF", LOITER: "AUTO.LOITER", MISSION: "AUTO.MISSION", RTL: "AUTO.RTL", LAND: "AUTO.LAND",
 }  # fmt: skip
 _NAMES = {OFFBOARD: "Offboard", MISSION: "Mission"}
+_PREVENT_ARMING = (LAND, RTL)
 _NEED_POSITION = {POSCTL, OFFBOARD, TAKEOFF, LOITER, MISSION, RTL, LAND}
 
 CRITICAL, INFO = 2, 6
@@ -76,6 +77,7 @@ class Px4(Autopilot):
         super().__init__(world, index, config, px4_params(config.sysid), boot)
         self.intention: Mode = LOITER
         self.failsafe: Mode | None = None
+        self._after_flight: Mode = LOITER
         self._entered: Mode | None = None
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._takeoff_to: tuple[float, float, float] | None = None
@@ -146,7 +148,9 @@ class Px4(Autopilot):
 
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
-        health = _SENSORS | (_AHRS if self.has_position else 0) | (_PREARM if self.ready else 0)
+        health = (
+            _SENSORS | (_AHRS if self.has_position else 0) | (_PREARM if self.ready and not self.deny_arming else 0)
+        )
         present = _SENSORS | _AHRS | _PREARM
         return present, present, health
 
@@ -167,7 +171,7 @@ class Px4(Autopilot):
             return "Preflight Fail: ekf2 missing data" if not self.has_position else ""
         if self.mode == OFFBOARD and not self.setpoint_alive():
             return ""
-        if self.mode in (LAND, RTL):
+        if self.mode in _PREVENT_ARMING:
             return ""
         return None
 
@@ -199,11 +203,19 @@ class Px4(Autopilot):
         return ACCEPTED
 
     def disarm(self) -> None:
-        """Stops the motors; a failsafe ends with the flight."""
+        """Stops the motors; a failsafe ends with the flight, and so does a mode in which nobody can arm."""
+        if self.armed:
+            self.intention = self._after_flight
         super().disarm()
         self.failsafe = None
 
     # -- modes --------------------------------------------------------------------------------------------------
+
+    def _intend(self, mode: Mode) -> None:
+        """Keeps what the user wants; the last of it in which arming is possible is wanted again after the flight."""
+        self.intention = mode
+        if mode not in _PREVENT_ARMING:
+            self._after_flight = mode
 
     def _change_mode(self, mode: Mode) -> int:
         flying = self.armed and not self.landed
@@ -213,7 +225,7 @@ class Px4(Autopilot):
             return TEMPORARILY_REJECTED
         if flying and mode in _NEED_POSITION and not self.has_position:
             return TEMPORARILY_REJECTED
-        self.intention = mode
+        self._intend(mode)
         self.failsafe = None
         self._entered = None
         if mode == TAKEOFF and self._takeoff_to is None:
@@ -328,7 +340,7 @@ class Px4(Autopilot):
             if bottom is not None:
                 return bottom < self.pos_est()[2] - 0.05
             return down is not None and down < -0.02
-        return mode == LAND or self.failsafe is not None or (mode == RTL and self._rtl_stage == 2)
+        return mode == LAND or self.failsafe == POSCTL or (mode == RTL and self._rtl_stage == 2)
 
     def update(self, now_ns: int) -> None:
         """Checks what may end a mode, then lets the mode act."""
@@ -437,7 +449,7 @@ class Px4(Autopilot):
         elif entering:
             x, y, z = self._hold = self.pos_est()
             self.limit_speed()
-            if self.failsafe is not None:
+            if self.failsafe == POSCTL:  # the throttle stick that is not there counts as pulled down
                 self.command((x, y, None), (None, None, -_SINK_M_S))
             else:
                 self.command((x, y, z), NOTHING)
@@ -452,7 +464,8 @@ class Px4(Autopilot):
         if not self.landed and z > target[2] - min(0.8, 0.2 * (target[2] - start)):
             # the altitude counts as reached within NAV_MC_ALT_RAD; Hold keeps the takeoff's altitude
             self._takeoff_to = None
-            self.intention = self._entered = LOITER
+            self._intend(LOITER)
+            self._entered = LOITER
             self._hold = (x, y, target[2])
             self.command(self._hold, NOTHING)
 

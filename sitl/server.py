@@ -183,8 +183,7 @@ class Server:
             if line == "clear":
                 self.world.clear_faults()
             elif line:
-                for fault in parse_faults(f"[{line}]", "order"):
-                    self.world.inject(fault)
+                self.world.inject(*parse_faults(f"[{line}]", "order"))
         except FaultError as error:
             self.order_errors.append(str(error))
 

@@ -160,6 +160,8 @@ class World:
         has_position, has_origin: the estimator has them, shape (n,).
         talking: has sent its first bytes, shape (n,).
         frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
+        motor_share: thrust that the motors can give (faults), 1 when sound, shape (n,).
+        frame_errors: frames of each vehicle whose handling failed; they are dropped and end nothing.
     """
 
     def __init__(self, config: WorldConfig, seed: int) -> None:
@@ -192,6 +194,8 @@ class World:
         self.talking = np.zeros(n, dtype=bool)
         self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self.frozen_pos_enu_m = pads.copy()
+        self.motor_share = np.ones(n)
+        self.frame_errors = [0] * n
         self.has_gps = np.array([vehicle.gps for vehicle in config.vehicles])
         self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
         self.clock_offset_ns = np.zeros(n, dtype=np.int64)
@@ -272,9 +276,13 @@ class World:
         self._history.clear()
         self._min_distance_m = math.inf
 
-    def inject(self, fault: Fault) -> None:
-        """Lets something go wrong now, for as long as the fault says; its ``at_s`` does not count."""
-        self._faults.inject(fault)
+    def inject(self, *faults: Fault) -> None:
+        """Lets something go wrong now, for as long as the faults say; their ``at_s`` does not count.
+
+        Raises:
+            FaultError: one of them concerns a vehicle that is not there; then nothing of it happens.
+        """
+        self._faults.inject(*faults)
 
     def clear_faults(self) -> None:
         """Mends everything that is wrong, and forgets the rest of the timetable."""
@@ -297,12 +305,12 @@ class World:
         return self.profiles[index]
 
     def vehicle_time_ns(self) -> NDArray[np.int64]:
-        """Time since power-up as each vehicle counts it, shape (n,)."""
-        return np.asarray(self.now_ns - self._boot_ns + self.clock_offset_ns)
+        """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped."""
+        return np.asarray(np.maximum(self.now_ns - self._boot_ns + self.clock_offset_ns, 0))
 
     def vehicle_time_of(self, index: int) -> int:
         """The same for one vehicle."""
-        return int(self.now_ns - self._boot_ns[index] + self.clock_offset_ns[index])
+        return max(int(self.now_ns - self._boot_ns[index] + self.clock_offset_ns[index]), 0)
 
     def unix_us(self) -> int:
         """The date, microseconds."""
@@ -368,7 +376,10 @@ class World:
         for piece in pieces:
             pilot = self.autopilots[arrival.vehicle]  # a reboot in between makes a new one
             if isinstance(piece, Frame) and pilot.powered and self.talking[arrival.vehicle]:
-                pilot.receive(piece)
+                try:
+                    pilot.receive(piece)
+                except Exception:  # whatever one sender's frame does, the other vehicles fly on
+                    self.frame_errors[arrival.vehicle] += 1
 
     def _make(self, name: str, vehicles: NDArray[np.int64]) -> int:
         """Makes one message type for some vehicles; returns how many were sent."""

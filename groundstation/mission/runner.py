@@ -195,7 +195,7 @@ class Runner:
             self._give_up("stopped by the operator", now_ns, stop=True)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
-        if self.phase in AIRBORNE_PHASES:
+        if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
             self._watch(poses, now_ns)
             # Whoever does not follow us, or cannot be seen, may come down at any moment: nobody stays underneath.
             poses = replace(poses, sinking=(self._monitor.blind | self._monitor.foreign) & self.fleet.armed)

@@ -164,7 +164,7 @@ def test_an_autopilot_that_refuses_to_arm_for_45_s_is_waited_for(reluctant: int)
 
 def test_an_autopilot_that_never_arms_is_named_with_its_own_words() -> None:
     def deny(flight: Flight) -> bool:
-        flight.world.autopilots[0].deny_arming = True
+        flight.world.autopilots[0].deny_arming = Phase.ARM in flight.phase_seen
         return False
 
     flight = Flight(pair("limits.arming_s=20", "limits.preflight_s=30"), interrupt_when=deny)

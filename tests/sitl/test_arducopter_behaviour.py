@@ -260,3 +260,14 @@ def test_flight_modes_return_and_land() -> None:
     ground.run_until(lambda: not ground.world.truth.armed[0], 60.0)
     assert ground.world.truth.pos_enu_m[0, :2] == pytest.approx([0.0, 0.0], abs=0.6)
     assert Counter(m.landed_state for _, m in ground.all("EXTENDED_SYS_STATE"))[4] > 50
+
+
+def test_a_fence_that_was_never_set_up_is_neither_there_nor_breached() -> None:
+    ground = Ground(arducopter())
+    ground.run(2.5)
+    ground.interval("SYS_STATUS", 5)
+    ground.run(1.0)
+    status = ground.last("SYS_STATUS")
+    fence = 0x100000
+    assert status.onboard_control_sensors_health & fence
+    assert not (status.onboard_control_sensors_present | status.onboard_control_sensors_enabled) & fence

@@ -19,7 +19,7 @@ from tests.sitl.served import FASTER, free_tcp_port, free_udp_port, serving
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed")
 
-_MODULES = "link,mode,arm,param,cmdlong,misc"
+_MODULES = "link,mode,arm,param,cmdlong,misc,fence"
 _LIMIT_S = 25.0
 
 
@@ -118,6 +118,7 @@ def test_flies_arducopter(tmp_path: Path) -> None:
         proxy.type("mode land")
         proxy.expect("DISARMED")
         proxy.until("status HEARTBEAT", r"HEARTBEAT .*custom_mode : 9, system_status : 3")
+        assert "fence breach" not in "".join(proxy.transcript)
         _nothing_unknown(proxy)
 
 

@@ -64,6 +64,8 @@ def test_finds_eight_px4_arms_one_takes_off_flies_offboard_and_lands_it() -> Non
         action.land()
         wait_for(telemetry, "landed_state", lambda state: state == ON_GROUND)
         wait_for(telemetry, "armed", lambda armed: not armed)
+        wait_for(telemetry, "flight_mode", lambda mode: mode == HOLD)  # what was wanted before the landing
+        action.arm()
 
 
 def test_flies_arducopter() -> None:

@@ -312,6 +312,109 @@ def test_faults_add_up_on_one_link() -> None:
     assert lost_share(ground, 3.0, 5.9) == pytest.approx(0.5, abs=0.1)
 
 
+def test_of_two_missing_heartbeats_the_longer_counts() -> None:
+    ground = flying(fault("heartbeat_missing", 3.0, 10.0), fault("heartbeat_missing", 4.0, 2.0))
+    ground.run(13.0)
+    beats = [t_s for t_s, _ in ground.all("HEARTBEAT")]
+    assert not [t_s for t_s in beats if 3.01 < t_s < 13.0]
+    assert [t_s for t_s in beats if t_s > 13.0]
+
+
+def test_overlapping_faults_of_a_vehicle_last_until_the_last_one_ends() -> None:
+    kinds = ("position_frozen", "position_nan", "motor_failure", "arming_refused", "commands_ignored")
+    ground = Ground(world())
+    here, pilot = ground.world, ground.world.autopilots[0]
+    for kind in kinds:
+        here.inject(fault(kind, for_s=3.0))
+    ground.run(1.0)
+    stuck = here.frozen_pos_enu_m.copy()
+    here.estimator.pos_error = here.estimator.pos_error + 1.0
+    for kind in kinds:
+        here.inject(fault(kind, for_s=1.0))
+    assert here.frozen_pos_enu_m.tolist() == stuck.tolist()  # frozen already
+
+    def wrong() -> list[bool]:
+        state = (here.frozen[0], here.invalid[0], here.dynamics.tumbling[0], pilot.deny_arming, pilot.ignore_commands)
+        return [bool(item) for item in state]
+
+    ground.run(1.5)
+    assert wrong() == [True] * 5
+    assert here.dynamics.thrust_share[0] == 0.6
+    ground.run(0.6)
+    assert wrong() == [False] * 5
+    assert here.dynamics.thrust_share[0] == 1.0
+
+
+def test_drains_add_up_and_end_one_by_one() -> None:
+    ground = flying()
+    battery = ground.world.autopilots[0].battery
+    ground.world.inject(fault("battery_drain", for_s=4.0, percent_per_s=2.0))
+    ground.world.inject(fault("battery_drain", for_s=2.0, percent_per_s=3.0))
+    full = battery.left
+    ground.run(2.0)
+    middle = battery.left
+    assert full - middle == pytest.approx(0.10, abs=0.003)
+    ground.run(2.0)
+    assert middle - battery.left == pytest.approx(0.04, abs=0.003)
+    end = battery.left
+    ground.run(1.0)
+    assert end - battery.left < 0.001
+
+
+def test_a_battery_that_is_charged_flies_again() -> None:
+    ground = hovering(3.0)
+    ground.world.inject(fault("battery_level", percent=0.0))
+    ground.run(3.0)
+    assert ground.height() == 0.0
+    ground.world.inject(fault("battery_level", percent=100.0))
+    ground.run(4.0, lambda: ground.velocity(vz=-1.0))
+    assert ground.height() > 2.0
+
+
+def test_a_clock_that_jumps_behind_its_start_stands_at_zero_and_does_not_wrap() -> None:
+    ground = flying(fault("clock_jump", 3.0, None, seconds=-5.0))
+    ground.run(4.5)
+    boots = {round(t_s, 2): m.time_boot_ms for t_s, m in ground.all("LOCAL_POSITION_NED")}
+    assert max(boots.values()) <= 3000
+    assert boots[4.0] == 0
+    assert boots[6.0] == pytest.approx(1000, abs=4)
+
+
+def test_ignored_commands_are_ignored_in_every_shape() -> None:
+    for config, mode in ((world(), LAND), (world(autopilot="arducopter", streams="ardupilot"), 9)):
+        ground = Ground(config)
+        ground.run(2.5)
+        ground.world.inject(fault("commands_ignored", for_s=2.0))
+        before = ground.world.autopilots[0].custom_mode()
+        ground.send("SET_MODE", target_system=1, base_mode=1, custom_mode=mode)
+        ground.run(1.5)
+        assert ground.world.autopilots[0].custom_mode() == before
+        assert ground.acks() == []
+        ground.run(1.0)
+        ground.send("SET_MODE", target_system=1, base_mode=1, custom_mode=mode)
+        ground.run(0.1)
+        assert ground.world.autopilots[0].custom_mode() == mode
+
+
+def test_refused_arming_shows_in_the_prearm_bit() -> None:
+    for config in (world(), world(autopilot="arducopter", streams="ardupilot")):
+        ground = Ground(config)
+        ground.run(2.5)
+        bits = ground.world.autopilots[0].sensor_bits
+        assert bits()[2] & 0x10000000
+        ground.world.inject(fault("arming_refused", for_s=1.0))
+        assert not bits()[2] & 0x10000000
+        ground.run(1.1)
+        assert bits()[2] & 0x10000000
+
+
+def test_orders_for_vehicles_that_are_not_there_change_nothing() -> None:
+    ground = flying(n=2)
+    with pytest.raises(FaultError, match="77 is not among"):
+        ground.world.inject(fault("blackout", vehicles=(1,)), fault("blackout", vehicles=(77,)))
+    assert ground.world.active_faults == ()
+
+
 def test_same_seed_same_faults() -> None:
     faults = tuple(fault(kind, 1.0, probability=0.1) for kind in ("loss", "duplicate", "reorder", "corrupt"))
     config = world(2, faults=faults)
@@ -355,6 +458,18 @@ def test_timetable_from_yaml(tmp_path: Path) -> None:
         ("faults: 3", "a list is needed"),
         ("fault: []", "fault: unknown key"),
         ("faults: [", "is no YAML"),
+        ("[" * 5000, "faults: is nested too deeply"),
+        ("[" * 5000 + "]" * 5000, "faults: is nested too deeply"),
+        ("faults: [" + "[" * 60 + "]" * 60 + "]", r"faults\[0\]..*: a mapping"),
+        ("faults: [{kind: [a], direction: up}]", r"kind: \['a'\] is unknown"),
+        ("faults: [{kind: blackout, at_s: 1" + "0" * 400 + "}]", "at_s: 1000.*is out of all bounds"),
+        ("faults: [{kind: blackout, at_s: -1" + "0" * 400 + "}]", "at_s: -1000.*is out of all bounds"),
+        ("faults: [{kind: delay, seconds: 1" + "0" * 5000 + "}]", "a value that cannot be read"),
+        ("faults: [{kind: blackout, at_s: 2020-13-45}]", "a value that cannot be read"),
+        ("faults: [{kind: blackout, at_s: 1.0e+300}]", "at_s: 1e[+]300, has to be 0 or more, up to 1000000"),
+        ("faults: [{kind: blackout, for_s: .inf}]", "for_s: inf, has to be"),
+        ("faults: [{kind: blackout, for_s: .nan}]", "for_s: nan, has to be"),
+        ("faults: [{kind: blackout, vehicles: [true]}]", r"vehicles: \[True\], a list"),
     ],
 )
 def test_wrong_timetables_are_refused_by_name(text: str, words: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import struct
 from typing import Any
 
@@ -249,3 +250,125 @@ def test_world_is_what_a_mission_needs_it_to_be() -> None:
     assert truth.pos_enu_m.shape == truth.vel_enu_m_s.shape == (2, 3)
     assert truth.quat.shape == (2, 4)
     assert truth.airborne.tolist() == truth.armed.tolist() == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "refusal"),
+    [
+        (math.nan, 8.5, 10),
+        (math.inf, 8.5, 10),
+        (500.0, 8.5, 10),
+        (1e30, 8.5, 10),
+        (47.4, math.nan, 11),
+        (47.4, -500.0, 11),
+    ],
+)
+def test_a_mission_item_that_is_nowhere_is_refused_by_name(x: float, y: float, refusal: int) -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    _upload(ground, [_item(22)])
+    ground.send("MISSION_COUNT", target_system=1, target_component=1, count=1)
+    ground.send("MISSION_ITEM", target_system=1, target_component=1, seq=0, command=16, frame=3, x=x, y=y, z=3.0)
+    ground.run(0.04)
+    assert ground.last("MISSION_ACK").type == refusal
+    assert ground.world.frame_errors == [0]
+    assert [item["command"] for item in ground.world.autopilots[0].mission] == [22]  # the one before is still there
+    for msg in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+        ground.send(msg, target_system=1, target_component=1, seq=0)
+    ground.run(0.04)
+    assert ground.last("MISSION_ITEM").x == pytest.approx(47.397742)
+
+
+def test_a_frame_that_cannot_be_handled_ends_nothing_and_is_counted() -> None:
+    ground = Ground(world(2))
+    ground.run(2.5)
+
+    def fails(_fields: Any, _frame: Any) -> None:
+        raise ZeroDivisionError
+
+    ground.world.autopilots[1].messages[4] = fails
+    ground.world.receive(
+        1,
+        ground.encoder.encode("PING", seq=1)
+        + ground.encoder.encode("COMMAND_LONG", target_system=2, target_component=1, command=512, param1=148),
+        ground.now_ns,
+    )
+    ground.run(0.1)
+    assert ground.world.frame_errors == [0, 1]
+    assert ground.acks(1) == [(512, 0)]  # of the same datagram
+    assert ground.ask(512, 148) == 0
+
+
+def test_unknown_message_ids_are_skipped() -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    unknown = bytes([0xFD, 3, 0, 0, 9, 255, 190, *(54321).to_bytes(3, "little"), 1, 2, 3, 0x12, 0x34])
+    asks = ground.encoder.encode("COMMAND_LONG", target_system=1, target_component=1, command=512, param1=148)
+    ground.world.receive(0, unknown + asks, ground.now_ns)
+    ground.run(0.1)
+    assert ground.acks() == [(512, 0)]
+    assert ground.world.frame_errors == [0]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("config", "name"), [(world(), "MPC_LAND_SPEED"), (world(), "COM_OF_LOSS_T"), (arducopter(), "LAND_SPEED_HIGH")]
+)
+def test_parameters_that_are_no_numbers_are_refused(config: Any, name: str, value: float) -> None:
+    ground = Ground(config)
+    ground.run(2.5)
+    before = _param(ground, name)
+    _set(ground, name, value, before.param_type)
+    assert ground.last("PARAM_VALUE").param_value == before.param_value
+    assert _param(ground, name).param_value == before.param_value
+
+
+def test_px4_takes_parameters_of_their_own_type_only() -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    before = ground.t_s
+    _set(ground, "COM_OF_LOSS_T", _bits(5), INT32)
+    _set(ground, "COM_LOW_BAT_ACT", 3.0, REAL32)
+    told = [(m.param_id, m.param_value) for _, m in ground.all("PARAM_VALUE", since_s=before)]
+    assert told == [("COM_OF_LOSS_T", 1.0), ("COM_LOW_BAT_ACT", 0.0)]
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_fences_and_rally_points_are_refused_and_leave_the_flight_alone(kind: int) -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    _upload(ground, [_item(22), _item(16)])
+    for name, more in (("MISSION_COUNT", {"count": 2}), ("MISSION_COUNT", {}), ("MISSION_CLEAR_ALL", {})):
+        before = ground.t_s
+        ground.send(name, target_system=1, target_component=1, mission_type=kind, **more)
+        ground.run(0.04)
+        acks = [(m.type, m.mission_type) for _, m in ground.all("MISSION_ACK", since_s=before)]
+        assert acks == [(3, kind)]
+        assert ground.all("MISSION_REQUEST_INT", since_s=before + 1e-6) == []
+    ground.send("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=0, mission_type=kind)
+    ground.run(0.04)
+    assert (ground.last("MISSION_ACK").type, ground.last("MISSION_ACK").mission_type) == (13, kind)
+    assert len(ground.world.autopilots[0].mission) == 2
+    ground.send("MISSION_CLEAR_ALL", target_system=1, target_component=1, mission_type=255)
+    ground.run(0.04)
+    assert (ground.last("MISSION_ACK").type, ground.last("MISSION_ACK").mission_type) == (0, 255)
+    assert ground.world.autopilots[0].mission == []
+
+
+def test_another_mission_item_can_be_made_the_current_one() -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    _upload(ground, [_item(22), _item(16, 40.0), _item(16, 3.0), _item(21, 3.0, 0.0)])
+    assert ground.ask(224, 4) == 2
+    assert ground.ask(224, -1) == 2
+    assert ground.ask(400, 1) == 0
+    assert ground.ask(300) == 0
+    ground.run_until(lambda: ground.world.autopilots[0].mission_seq == 1, 20.0)
+    ground.run(2.0)
+    assert ground.ask(224, 2) == 0
+    assert ground.last("MISSION_CURRENT").seq == 2
+    ground.run_until(lambda: ground.world.autopilots[0].mission_seq == 3, 20.0)
+    assert [m.seq for _, m in ground.all("MISSION_ITEM_REACHED")] == [0, 2]
+    ground.send("MISSION_SET_CURRENT", target_system=1, target_component=1, seq=1)
+    ground.run(0.04)
+    assert ground.last("MISSION_CURRENT").seq == 1

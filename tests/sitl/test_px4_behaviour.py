@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import struct
 
+import numpy as np
+import pymap3d
 import pytest
 
-from sitl.estimator import NOISELESS
+from sitl.estimator import GPS, NOISELESS
+from sitl.frames import Array
 from sitl.world import VehicleConfig, WorldConfig
 from tests.sitl.virtual_ground import (
     LAND,
@@ -429,3 +433,98 @@ def test_lost_ground_station_counts_only_when_asked_for_and_then_any_heartbeat_d
     assert first == []
     ground.run(11.5)
     assert ground.last("HEARTBEAT").custom_mode == 84148224
+
+
+RTL_MODE = 84148224
+
+
+def _set_whole(ground: Ground, name: bytes, value: int) -> None:
+    bits = struct.unpack("<f", struct.pack("<i", value))[0]
+    ground.send("PARAM_SET", target_system=1, param_id=name, param_type=6, param_value=bits)
+
+
+@pytest.mark.parametrize("command", [20, 21])
+def test_after_landing_the_mode_of_before_is_wanted_again(command: int) -> None:
+    ground = hovering(3.0)
+    ground.interval("HEARTBEAT", 50)
+    assert ground.ask(command) == 0
+    ground.run(0.1)
+    assert ground.last("HEARTBEAT").custom_mode == {20: RTL_MODE, 21: LAND}[command]
+    ground.run_until(lambda: not ground.world.truth.armed[0], 20.0)
+    ground.run(0.1)
+    beat = ground.last("HEARTBEAT")
+    assert (beat.custom_mode, beat.system_status) == (OFFBOARD, 3)
+    assert ground.ask(400, 1) == 0  # the setpoints still come
+
+
+def test_takeoff_and_landing_by_command_can_be_flown_again_and_again() -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    for _ in range(2):
+        assert ground.ask(400, 1) == 0
+        assert ground.ask(22, 0, 0, 0, math.nan, math.nan, math.nan, math.nan) == 0
+        ground.run_until(lambda: ground.height() > 2.4, 12.0)
+        ground.run(1.0)
+        assert ground.ask(21) == 0
+        ground.run_until(lambda: not ground.world.truth.armed[0], 20.0)
+        ground.run(1.1)
+        assert ground.last("HEARTBEAT").custom_mode == LOITER
+
+
+@pytest.mark.parametrize("name", [b"NAV_DLL_ACT", b"NAV_RCL_ACT"])
+def test_a_failsafe_that_holds_keeps_its_height(name: bytes) -> None:
+    ground = hovering(4.0)
+    ground.send("HEARTBEAT", type=6, autopilot=8)
+    since = ground.t_s
+    if name == b"NAV_RCL_ACT":
+        _set_whole(ground, b"COM_RCL_EXCEPT", 0)
+    _set_whole(ground, name, 1)
+    ground.run(12.0)
+    beat = ground.last("HEARTBEAT")
+    assert (beat.custom_mode, beat.system_status) == (LOITER, 5)
+    assert (2, "Failsafe activated\t") in ground.texts(since_s=since)
+    height = ground.height()
+    ground.run(3.0)
+    assert ground.height() == pytest.approx(height, abs=0.05)
+    assert height > 3.0
+
+
+def _local_errors(ground: Ground, places: Array) -> Array:
+    """LOCAL_POSITION_NED minus true places (NED), shape (n, 3)."""
+    local = [ground.last("LOCAL_POSITION_NED", vehicle) for vehicle in range(len(places))]
+    return np.array([(m.x, m.y, m.z) for m in local]) - places
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_eight_given_one_origin_agree_with_their_true_places(seed: int) -> None:
+    ground = Ground(world(8, noise=GPS, streams="gcs"), seed)
+    ground.run(2.5)
+    places = np.array([(0.0, 5.0 * vehicle, 0.0) for vehicle in range(8)])
+    for vehicle in range(8):
+        ground.send(
+            "SET_GPS_GLOBAL_ORIGIN", vehicle, target_system=vehicle + 1, latitude=473977420, longitude=85455940,
+            altitude=488000,
+        )  # fmt: skip
+    ground.run(0.3)
+    errors = _local_errors(ground, places)
+    # 0.12 m on each axis: one of the eight may be further off, the team as a whole is not
+    assert 0.03 < float(np.sqrt(np.mean(errors**2))) < 0.2
+    assert float(np.abs(errors).max()) < 0.45
+
+
+def test_origins_from_gps_are_off_by_decimetres_and_by_no_more_than_was_seen() -> None:
+    ground = Ground(world(8, noise=GPS, streams="gcs"), 1)
+    ground.run(2.5)
+    offsets = []
+    for vehicle in range(8):
+        assert ground.ask(512, 49, vehicle=vehicle) == 0
+        m = ground.last("GPS_GLOBAL_ORIGIN", vehicle)
+        east, north, up = pymap3d.geodetic2enu(
+            m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, 47.397742, 8.545594, 488.0
+        )
+        offsets.append((east - 5.0 * vehicle, north, up))
+    off = np.abs(np.array(offsets))
+    assert off[:, :2].max() <= 0.52  # a step of the message's own units on top
+    assert off[:, 2].max() <= 0.61
+    assert off[:, :2].mean() > 0.08
+    assert off[:, 2].mean() > 0.1

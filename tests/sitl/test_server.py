@@ -196,14 +196,33 @@ def test_a_machine_that_stands_still_skips_time_and_says_so() -> None:
         assert calls[-1] - calls[0] < 10**9
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("{kind: blackout, vehicles: [77]}", "77 is not among the emulated ones"),
+        ("{kind: blackout}, {kind: blackout, vehicles: [77]}", "77 is not among the emulated ones"),
+        ("[" * 5000, "nested too deeply"),
+        ("{kind: blackout, for_s: 1" + "0" * 400 + "}", "out of all bounds"),
+    ],
+)
+def test_a_wrong_order_is_told_and_changes_nothing(line: str, words: str) -> None:
+    with Server(WorldConfig(vehicles=fleet(2)), 1, port=free_udp_port()) as server:
+        server.order(line)
+        assert len(server.order_errors) == 1
+        assert words in server.order_errors[0]
+        assert server.world.active_faults == ()
+
+
 def test_status_shows_modes_positions_and_what_is_wrong() -> None:
     faults = (Fault("loss", vehicles=(2,), numbers={"probability": 0.5}),)
     with Server(WorldConfig(vehicles=fleet(3), faults=faults), 1, port=free_udp_port()) as server:
         server.world.advance(server.world.now_ns + 3 * 10**9)
         server.order("{kind: gremlins}")
+        server.world.frame_errors[1] = 3
         console = Console(width=120, record=True, file=io.StringIO())
         console.print(_picture(server))
         text = console.export_text()
     assert re.search(r"1 +AUTO.LOITER +ground +100 % +-1.00 +0.00 +0.00", text)
     assert "fault: loss of 2, probability 0.5" in text
     assert "'gremlins' is unknown" in text
+    assert "3 frames could not be handled" in text
