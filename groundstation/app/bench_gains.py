@@ -160,7 +160,7 @@ def random_graph(seed: int) -> Formation:
 
 
 def disagreement(formation: Formation) -> float:
-    """Largest difference from Clarabel of the slowest mode of a block, 1/s; infinite where one refuses and one does not.
+    """Largest difference from Clarabel of the slowest mode of a block, 1/s; infinite where just one of them refuses.
 
     Args:
         formation: a small one.

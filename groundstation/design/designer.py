@@ -27,14 +27,20 @@ from groundstation.design.certify import (
 )
 from groundstation.design.closed_form import solve_complete
 from groundstation.design.diagnosis import findings
-from groundstation.design.interior_point import solve_interior_point
-from groundstation.design.problem import Block, BlockSolution, Matrix, Watch, hermitian_part, split
+from groundstation.design.interior_point import InteriorPoint, solve_interior_point
+from groundstation.design.problem import (
+    SPECTRAL_NORM,
+    Block,
+    BlockSolution,
+    Matrix,
+    Progress,
+    Watch,
+    hermitian_part,
+    split,
+)
 from groundstation.design.sdp import solve_clarabel
 from groundstation.design.shapes import notes
-from groundstation.design.splitting import solve_splitting
-
-SPECTRAL_NORM = 10.0
-"""Fastest mode of every design, 1/s: (11) leaves the scale open, this is the authors' value."""
+from groundstation.design.splitting import MOST_ITERATIONS, Splitting, solve_splitting
 
 COINCIDENT = 1e-6
 """Distance relative to the formation's size below which two agents count as standing in one place."""
@@ -44,6 +50,12 @@ DENSE_GRAPH = 0.3
 
 FEW_ITERATIONS = 600
 """Splitting iterations where an interior point can be tried as well."""
+
+COARSE = 0.5
+"""Relative gap to which both blocks are taken before either is refined: from there on a stop finds a whole design."""
+
+NEARLY = 1e-3
+"""Certified relative gap from which a cold start of splitting is not worth its time any more."""
 
 LARGEST_SCHUR = 14_000
 """Unknowns up to which the Schur complement of an interior point is formed: 1.6 GB."""
@@ -79,8 +91,9 @@ class DesignResult:
         certificate: figures of the gains, or of the best matrix found when they were refused; None when no solver ran.
         reason: why it was refused, empty otherwise.
         method: what found the blocks, ``xy/z`` where they differ.
-        finished: whether the gap was reached.
+        finished: whether the certified gap is the one that was asked for or less, or a refusal is proven.
         notes: what the shape leaves free, and warnings, in words.
+        undecided: neither gains nor a proof that there are none: time or methods ran out.
     """
 
     formation: Formation
@@ -90,6 +103,7 @@ class DesignResult:
     method: str
     finished: bool
     notes: tuple[str, ...] = ()
+    undecided: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -146,18 +160,20 @@ def design(
         raise ValueError(f"method {method!r} is unknown, known are auto, {', '.join(METHODS)}")
     together = coincident_agents(formation)
     if together:
-        i, j = together[0]
-        reason = f"agents {i + 1} and {j + 1} stand in one place; move one of them, gains cannot tell them apart"
-        return DesignResult(formation, None, None, reason, "none", finished=True)
+        return DesignResult(formation, None, None, _together(formation, *together[0]), "none", finished=True)
     if formation.size == 2 and not formation.edges:
         return DesignResult(formation, None, None, "no edge joins agent 1 to agent 2", "none", finished=True)
     watch = watch or Watch()
     wanted = default_gap(formation.size) if gap is None else gap
     with _one_thread():
         xy, z = split(formation)
-        # the cheaper block first: should time run out in the other, this one is not what is missing
-        vertical = _solve(z, method, wanted, spectral_norm, watch)
-        horizontal = _solve(xy, method, wanted, spectral_norm, watch)
+        works = [_Work(block, method, wanted, spectral_norm, watch) for block in (xy, z)]
+        # first a whole design, if a poor one; the slower block is what the design is worth, so it is refined first
+        for work in reversed(works):
+            work.sketch()
+        for work in sorted(works, key=lambda work: work.slowest):
+            work.refine()
+        horizontal, vertical = (work.found() for work in works)
     found = (horizontal, vertical)
     names = [part.method for part in found]
     used = names[0] if names[0] == names[1] else "/".join(names)
@@ -168,10 +184,11 @@ def design(
     certificate = Certificate(horizontal.figures, vertical.figures)
     finished = all(part.reached for part in found)
     why = "; ".join(findings(formation, (xy, z), certificate, spectral_norm))
-    reason = "; ".join(_refusal(certificate, spectral_norm))
-    reason = (f"{reason}: {why}" if reason and why else reason) or "; ".join(faults(formation, gains, certificate))
+    refused, undecided = _refusal(certificate, spectral_norm, stopped=watch.stop())
+    reason = (f"{refused}: {why}" if refused and why else refused) or "; ".join(faults(formation, gains, certificate))
     said = tuple(notes(formation) + _near_misses(formation))
-    return DesignResult(formation, None if reason else gains, certificate, reason, used, finished, said)
+    kept = None if reason else gains
+    return DesignResult(formation, kept, certificate, reason, used, finished, said, undecided=undecided)
 
 
 @dataclass(frozen=True)
@@ -184,25 +201,65 @@ class _Found:
     reached: bool
 
 
-def _solve(block: Block, method: str, gap: float, spectral_norm: float, watch: Watch) -> _Found:
-    """Tries methods until the certificate says that the gap is reached; keeps the best matrix and the best bound."""
-    if block.free == 0:
-        zero = np.zeros((block.size, block.size), dtype=block.dtype)
-        return _Found("closed-form", zero, certify_block(block, zero, zero), reached=True)
-    names = suitable_methods(block) if method == "auto" else [method]
-    best: _Found | None = None
-    for name in names:
-        if name == "splitting" and len(names) > 1:
-            solution = solve_splitting(block, gap, watch, most=FEW_ITERATIONS)
-        else:
-            solution = METHODS[name](block, gap, watch)
-        found = _judge(block, name, solution, gap, spectral_norm)
-        best = found if best is None else _better(best, found, gap, spectral_norm)
-        if best.reached or watch.stop():
-            break
-    if best is None:
-        raise ValueError(f"no method for block {block.name}")
-    return best
+class _Work:
+    """One block on its way: its methods in turn, until the certificate says that the gap is reached."""
+
+    def __init__(self, block: Block, method: str, gap: float, spectral_norm: float, watch: Watch) -> None:
+        self._block, self._gap, self._spectral_norm = block, gap, spectral_norm
+        self._names = suitable_methods(block) if method == "auto" else [method]
+        self._stop, self._told = watch.stop, watch.report
+        self._watch = Watch(stop=watch.stop, report=self._report)
+        self._run: InteriorPoint | Splitting | None = None
+        self._best: _Found | None = None
+        self.slowest, self._bound = -1.0, 1.0
+
+    def _report(self, now: Progress) -> None:
+        """Passes on the best interval so far, whichever method found its ends."""
+        self.slowest, self._bound = max(self.slowest, now.slowest), min(self._bound, now.bound)
+        self._told(replace(now, slowest=self.slowest, bound=self._bound))
+
+    def _start(self, name: str) -> InteriorPoint | Splitting | None:
+        if name == "interior-point":
+            return InteriorPoint(self._block)
+        if name == "splitting":
+            return Splitting(self._block, FEW_ITERATIONS if len(self._names) > 1 else MOST_ITERATIONS)
+        return None
+
+    def sketch(self) -> None:
+        """Takes the first method to a coarse gap, if it can be left and taken up again."""
+        if self._block.free > 0:
+            self._run = self._start(self._names[0])
+            if self._run is not None:
+                self._run.advance(max(COARSE, self._gap), self._watch)
+
+    def refine(self) -> None:
+        """Takes the methods, one after the other, to the gap; keeps the best matrix and the best bound."""
+        block = self._block
+        if block.free == 0:
+            return
+        # the certificate loses a little of the last digits that a method sees
+        aim = max(self._gap / 2, self._gap - 1e-4)
+        for name in self._names:
+            run = self._run or self._start(name)
+            self._run = None
+            solution = run.advance(aim, self._watch) if run is not None else METHODS[name](block, aim, self._watch)
+            found = _judge(block, name, solution, self._gap, self._spectral_norm)
+            best = self._best
+            best = found if best is None else _better(best, found, self._gap, self._spectral_norm)
+            self._best = best
+            if best.reached or self._stop() or (name == "interior-point" and block.size > 16 and _nearly(best)):
+                return
+
+    def found(self) -> _Found:
+        """The block's answer."""
+        if self._best is not None:
+            return self._best
+        zero = np.zeros((self._block.size, self._block.size), dtype=self._block.dtype)
+        return _Found("closed-form", zero, certify_block(self._block, zero, zero), reached=True)
+
+
+def _nearly(found: _Found) -> bool:
+    return found.figures.slowest > 0 and found.figures.bound - found.figures.slowest <= NEARLY * found.figures.bound
 
 
 def _judge(block: Block, name: str, solution: BlockSolution, gap: float, spectral_norm: float) -> _Found:
@@ -223,9 +280,7 @@ def _reached(figures: BlockCertificate, gap: float, spectral_norm: float) -> boo
     """Whether the certified interval is narrow enough, or proves that there is nothing to be found."""
     if figures.bound < WEAKEST * spectral_norm:
         return True
-    # rounding in matrix and dual may cost a little of the last digit that the method saw
-    wanted = max(2.0 * gap * figures.bound, 3e-9 * spectral_norm)
-    return figures.slowest >= WEAKEST * spectral_norm and figures.bound - figures.slowest <= wanted
+    return figures.slowest >= WEAKEST * spectral_norm and figures.bound - figures.slowest <= gap * figures.bound
 
 
 def _better(one: _Found, other: _Found, gap: float, spectral_norm: float) -> _Found:
@@ -253,6 +308,20 @@ def coincident_agents(formation: Formation) -> list[tuple[int, int]]:
     return sorted((int(i), int(j)) for i, j in pairs)
 
 
+def _together(formation: Formation, i: int, j: int) -> str:
+    """Why two agents, from 0, are too near each other to be told apart."""
+    points = formation.points_enu_m
+    limit_m = COINCIDENT * float(np.max(np.abs(points - points.mean(axis=0))))
+    apart_m = float(np.linalg.norm(points[i] - points[j]))
+    pair, remedy = f"agents {i + 1} and {j + 1}", "move one of them, gains cannot tell them apart"
+    if apart_m == 0.0:
+        return f"{pair} stand in one place; {remedy}"
+    return (
+        f"{pair} are {apart_m:.3g} m apart, under the limit of {limit_m:.3g} m, "
+        f"{COINCIDENT:g} of the formation's size; {remedy}"
+    )
+
+
 def _near_misses(formation: Formation) -> list[str]:
     """Warning about a pair that is much nearer than the formation is large: (11) does not see distances either."""
     if formation.size < 3:
@@ -268,19 +337,21 @@ def _near_misses(formation: Formation) -> list[str]:
     return [f"agents {i} and {j} are only {apart_m:.3g} m apart: gains do not keep agents from each other"]
 
 
-def _refusal(certificate: Certificate, spectral_norm: float) -> list[str]:
-    parts = []
+def _refusal(certificate: Certificate, spectral_norm: float, *, stopped: bool) -> tuple[str, bool]:
+    """Why blocks have no gains, empty when all have; and whether that is just not known."""
+    proven, unknown = [], []
     for label, figures in (("horizontally", certificate.xy), ("vertically", certificate.z)):
         if figures.slowest >= WEAKEST * spectral_norm:
             continue
         if figures.bound < WEAKEST * spectral_norm:
-            parts.append(f"{label}, no gains on this graph hold the formation")
+            proven.append(f"{label}, no gains on this graph hold the formation")
         else:
-            parts.append(
-                f"{label}, nothing could be certified: the slowest mode lies between 0 and {figures.bound:.3g} 1/s; "
-                "allow more time or another method"
-            )
-    return parts
+            unknown.append(f"{label} the slowest mode lies between 0 and {figures.bound:.3g} 1/s")
+    if proven or not unknown:
+        return "; ".join(proven), False
+    what = "time ran out" if stopped else "the methods gave up"
+    remedy = "allow more time" if stopped else "try another method"
+    return f"undecided: {what} before a matrix could be certified; {' and '.join(unknown)}; {remedy}", True
 
 
 _controller: list[ThreadpoolController] = []

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
+from math import comb
 
 import numpy as np
 import scipy.sparse.csgraph
 
 from groundstation.core.formation import Formation
-from groundstation.core.types import IntArray
+from groundstation.core.types import BoolArray, IntArray
 from groundstation.design.certify import WEAKEST, Certificate
 from groundstation.design.problem import Block, Matrix, split
 
@@ -27,6 +28,15 @@ MENDED = 0.01
 
 MOST_PRUNED = 40
 """Added edges up to which each is tried for being superfluous."""
+
+MOST_EXCHANGED = 12
+"""Added edges up to which pairs of them are exchanged for single ones."""
+
+LOOKS_PER_DESIGN = 12
+"""Choices of edges that may be looked at for every one that may be designed."""
+
+MOST_PAIRED = 60
+"""Agents up to which every pair is tried for separating the others."""
 
 MOST_COUNTED = 3000
 """Unknowns up to which the null space of the kernel equations is looked at."""
@@ -42,6 +52,10 @@ def names(agents: Iterable[int], most: int = 8) -> str:
     if len(listed) > most:
         return f"agents {', '.join(listed[:most])} and {len(listed) - most} more"
     return f"agents {', '.join(listed[:-1])} and {listed[-1]}"
+
+
+def _hanging(agents: IntArray) -> str:
+    return f"{names(agents)} {'hangs' if len(agents) == 1 else 'hang'}"
 
 
 def findings(
@@ -71,6 +85,9 @@ def findings(
     found: list[str] = []
     for block in failing:
         found += [sentence for sentence in _graph_reasons(block) if sentence not in found]
+    for block in failing:
+        if not found and len(block.edges) > block.size:
+            found += _separating_pairs(block)
     for block in failing:
         if not found:
             found += _counting_reasons(block)
@@ -116,7 +133,7 @@ def _graph_reasons(block: Block) -> list[str]:
         parts = _components(block.adjacency, keep)
         if len(parts) < 2 or (len(place) == 1 and len(parts[0]) == 1 and int(parts[0][0]) in lonely):
             continue
-        hinge = f"{names(parts[0])} hang on the rest by {names(place)} alone"
+        hinge = f"{_hanging(parts[0])} on the rest by {names(place)} alone"
         if len(place) == 1:
             found.append(f"{hinge}, a cut vertex")
         elif block.is_complex:
@@ -133,21 +150,72 @@ def _counting_reasons(block: Block) -> list[str]:
     free = block.null_space
     kind = "horizontal" if block.is_complex else "vertical"
     if free.shape[1] == 0:
-        needed = int(np.ceil((3 * block.size - 3) / 2)) if block.is_complex else block.size
-        return [
-            f"{len(block.edges)} edges leave no freedom for {kind} gains of {block.size} agents in general position; "
-            f"{needed} are the least"
-        ]
-    usable = np.zeros(len(block.edges), dtype=np.bool_)
-    np.logical_or.at(usable, block.unknown_edges, np.abs(free).max(axis=1) > 1e-9)
-    bare = np.ones(block.size, dtype=np.bool_)
-    bare[block.edges[usable].ravel()] = False
+        sentence = f"{len(block.edges)} edges leave no freedom for {kind} gains of {block.size} agents"
+        if not block.is_complex or _on_one_line(block):
+            return [f"{sentence}; {block.size} are the least"]
+        return [f"{sentence}; {int(np.ceil((3 * block.size - 3) / 2))} are the least in general position"]
+    bare = _bare(block)
     if bare.any():
         stem = "has only edges" if int(bare.sum()) == 1 else "have only edges"
         return [f"{names(np.flatnonzero(bare))} {stem} that no {kind} gain can use: too few edges there"]
     if free.shape[1] < block.free // 4:
         return [f"too few edges: they leave {free.shape[1]} free numbers for {block.free} {kind} modes"]
     return []
+
+
+def _on_one_line(block: Block) -> bool:
+    """Whether all agents share one horizontal line: then edges need no rotation, and fewer of them do."""
+    parts = np.stack([np.asarray(block.coordinate).real, np.asarray(block.coordinate).imag])
+    values = np.linalg.svd(parts, compute_uv=False)
+    return bool(values[-1] <= 1e-9 * values[0])
+
+
+def _bare(block: Block) -> BoolArray:
+    """Agents none of whose edges can carry a gain, shape (n,)."""
+    usable = np.zeros(len(block.edges), dtype=np.bool_)
+    free = block.null_space
+    if free.shape[1]:
+        np.logical_or.at(usable, block.unknown_edges, np.abs(free).max(axis=1) > 1e-9)
+    bare = np.ones(block.size, dtype=np.bool_)
+    bare[block.edges[usable].ravel()] = False
+    return bare
+
+
+def _separating_pairs(block: Block) -> list[str]:
+    """Groups that hang on the rest by two agents and whose ties are too few to hold a shape."""
+    if block.size > MOST_PAIRED or block.kernel.shape[1] == 1:
+        return []
+    found: list[tuple[IntArray, tuple[int, int]]] = []
+    keep = np.ones(block.size, dtype=np.bool_)
+    for pair in combinations(range(block.size), 2):
+        keep[list(pair)] = False
+        parts = _components(block.adjacency, keep)
+        keep[list(pair)] = True
+        # one agent with two neighbours is held by them
+        found += [(part, pair) for part in parts[:-1] if len(part) > 1 and _too_few_ties(block, part)]
+    said: list[str] = []
+    taken: set[int] = set()
+    for part, pair in sorted(found, key=lambda item: -len(item[0])):
+        if taken.isdisjoint(part.tolist()):
+            taken |= set(part.tolist())
+            said.append(f"{_hanging(part)} on the rest by {names(pair)} alone, a separating pair, with too few edges")
+    return said
+
+
+def _too_few_ties(block: Block, part: IntArray) -> bool:
+    """Whether the kernel equations of some agents leave one of them no edge that can carry a gain."""
+    inside = np.zeros(block.size, dtype=np.bool_)
+    inside[part] = True
+    touching = inside[block.edges[:, 0]] | inside[block.edges[:, 1]]
+    columns = np.flatnonzero(touching[block.unknown_edges])
+    rows = np.flatnonzero(np.tile(inside, block.equations.shape[0] // block.size))
+    local = block.equations[rows][:, columns].toarray()
+    _, values, directions = np.linalg.svd(local, full_matrices=True)
+    free = directions[int(np.sum(values > 1e-9 * max(float(values[0]), 1e-300))) :]
+    if len(free) == 0:
+        return True
+    usable = block.edges[block.unknown_edges[columns[np.abs(free).max(axis=0) > 1e-9]]]
+    return not set(part.tolist()) <= set(usable.ravel().tolist())
 
 
 def _mode_reason(block: Block) -> str:
@@ -194,50 +262,94 @@ Evaluate = Callable[[Formation], tuple[float, Certificate | None]]
 """Slowest certified mode of a formation, 1/s (0 when infeasible), and the certificate."""
 
 
-def mend(formation: Formation, certificate: Certificate, evaluate: Evaluate, most_designs: int = 150) -> Mend | None:
+def mend(
+    formation: Formation,
+    certificate: Certificate,
+    evaluate: Evaluate,
+    most_designs: int = 150,
+    stop: Callable[[], bool] = lambda: False,
+) -> Mend | None:
     """Looks for the fewest edges that make a formation feasible, and not just barely.
 
-    Single edges are tried in the order in which the dual matrices price them, then pairs; where that is too many, edges
-    are added greedily by price and superfluous ones taken away again.
+    One edge, two, and so on are tried exhaustively as long as that is affordable: a look at the graph and a count of
+    what the kernel equations leave free rule most choices out. Beyond that, edges are added greedily by their price in
+    the dual matrices, superfluous ones taken away, pairs exchanged for single ones, and lots drawn.
 
     Args:
-        formation: an infeasible one.
+        formation: one that was proven infeasible.
         certificate: of its best matrices.
         evaluate: designs a formation.
-        most_designs: designs to spend on exhaustive search.
+        most_designs: designs to spend on each number of edges in the exhaustive search, and on exchanges.
+        stop: asked before every design; True ends the search with what was found.
 
     Returns:
-        The edges, or None when not even the complete graph helps.
+        The edges, or None when not even the complete graph helps, or nothing was found before the stop.
     """
     candidates = _priced(formation, certificate)
-    least = fewest_conceivable(formation)
-    if len(candidates) <= most_designs:
-        best = _best(formation, [(edge,) for edge in candidates], evaluate)
+    least = max(1, fewest_conceivable(formation))
+    # designs, and looks at a graph, cost more the larger the team is
+    afforded = int(most_designs * min(1.0, (10.0 / formation.size) ** 2))
+    count, exhausted = least, True
+    while exhausted and count <= len(candidates):
+        most = most_designs if count == 1 and len(candidates) <= most_designs else afforded
+        if comb(len(candidates), count) > LOOKS_PER_DESIGN * most:
+            break
+        choices, exhausted = _conceivable(formation, combinations(candidates, count), most, stop)
+        if not exhausted:
+            break
+        best = _best(formation, choices, evaluate, stop)
         if best is not None:
             return Mend(*best, fewest=True)
-        pairs = list(combinations(candidates, 2))
-        if len(pairs) <= most_designs:
-            best = _best(formation, pairs, evaluate)
-            if best is not None:
-                return Mend(*best, fewest=True)
-    greedy = _greedy(formation, certificate, evaluate)
+        if stop():
+            return None
+        count += 1
+    greedy = _greedy(formation, certificate, evaluate, stop)
     if greedy is None:
         return None
-    edges, slowest = greedy
-    return Mend(edges, slowest, fewest=len(edges) <= max(least, 1))
+    edges, slowest = _exchange(
+        formation, candidates, greedy, least=count, evaluate=evaluate, most_designs=afforded, stop=stop
+    )
+    # whatever has fewer than `count` edges was ruled out one by one
+    return Mend(edges, slowest, fewest=len(edges) <= count)
 
 
 def fewest_conceivable(formation: Formation) -> int:
-    """Edges that are missing at the very least: in general position every agent needs two neighbours."""
-    degrees = np.zeros(formation.size, dtype=np.int64)
-    for i, j in formation.edges:
-        degrees[i] += 1
-        degrees[j] += 1
-    by_agents = int(np.ceil(np.maximum(2 - degrees, 0).sum() / 2))
+    """Edges that are missing at the very least, whatever the shape: agents that differ need two neighbours each.
+
+    The count of free numbers, 2E - 3n + 4, is no proof: it holds in general position only. On a line n edges do, and
+    so they do horizontally for a regular polygon.
+    """
     xy, z = split(formation)
-    general = len(places(xy)) == formation.size and len(places(z)) == formation.size
-    by_count = int(np.ceil((3 * formation.size - 3) / 2)) - len(formation.edges)
-    return max(by_agents, by_count) if general and formation.size > 3 else 0
+    general = any(block.kernel.shape[1] == 2 and len(places(block)) == formation.size for block in (xy, z))
+    if not general or formation.size < 3:
+        return 0
+    degrees = xy.adjacency.sum(axis=1)
+    by_agents = int(np.ceil(np.maximum(2 - degrees, 0).sum() / 2))
+    # no agent can hang on a single edge, so that a tree is not enough
+    return max(by_agents, formation.size - len(formation.edges))
+
+
+def _conceivable(
+    formation: Formation, choices: Iterable[tuple[Edge, ...]], most: int, stop: Callable[[], bool]
+) -> tuple[list[tuple[Edge, ...]], bool]:
+    """Choices that are not ruled out without a design, and whether all were looked at and they are few enough."""
+    kept: list[tuple[Edge, ...]] = []
+    for extra in choices:
+        if stop() or len(kept) > most:
+            return kept, False
+        blocks = split(with_edges(formation, extra))
+        if not any(_ruled_out(block) for block in blocks):
+            kept.append(extra)
+    return kept, len(kept) <= most
+
+
+def _ruled_out(block: Block) -> bool:
+    """Whether the graph, or the null space of the kernel equations, shows that a block has no gains."""
+    if block.free == 0:
+        return False
+    if len(_components(block.adjacency, np.ones(block.size, dtype=np.bool_))) > 1 or _graph_reasons(block):
+        return True
+    return len(block.unknown_edges) <= MOST_COUNTED and bool(_bare(block).any())
 
 
 def with_edges(formation: Formation, extra: Iterable[Edge]) -> Formation:
@@ -261,10 +373,12 @@ def _priced(formation: Formation, certificate: Certificate) -> list[Edge]:
 
 
 def _best(
-    formation: Formation, choices: Iterable[tuple[Edge, ...]], evaluate: Evaluate
+    formation: Formation, choices: Iterable[tuple[Edge, ...]], evaluate: Evaluate, stop: Callable[[], bool]
 ) -> tuple[tuple[Edge, ...], float] | None:
     best: tuple[tuple[Edge, ...], float] | None = None
     for extra in choices:
+        if stop():
+            break
         slowest, _ = evaluate(with_edges(formation, extra))
         if slowest >= MENDED and (best is None or slowest > 1.001 * best[1]):
             best = (tuple(sorted(extra)), slowest)
@@ -272,7 +386,7 @@ def _best(
 
 
 def _greedy(
-    formation: Formation, certificate: Certificate, evaluate: Evaluate
+    formation: Formation, certificate: Certificate, evaluate: Evaluate, stop: Callable[[], bool]
 ) -> tuple[tuple[Edge, ...], float] | None:
     now, figures, slowest = formation, certificate, 0.0
     batch = max(1, formation.size // 20)
@@ -280,6 +394,8 @@ def _greedy(
         candidates = _priced(now, figures)
         if not candidates:
             return (tuple(sorted(set(now.edges) - set(formation.edges))), slowest) if slowest > 0 else None
+        if stop():
+            return None
         now = with_edges(now, _apart(candidates, batch))
         slowest, found = evaluate(now)
         figures = found or figures
@@ -287,11 +403,48 @@ def _greedy(
     if len(added) > MOST_PRUNED:
         return tuple(added), slowest
     for edge in list(added):
+        if stop():
+            break
         without = [other for other in added if other != edge]
         value, _ = evaluate(with_edges(formation, without))
         if value >= MENDED:
             added, slowest = without, value
     return tuple(added), slowest
+
+
+def _exchange(
+    formation: Formation,
+    candidates: list[Edge],
+    start: tuple[tuple[Edge, ...], float],
+    *,
+    least: int,
+    evaluate: Evaluate,
+    most_designs: int,
+    stop: Callable[[], bool],
+) -> tuple[tuple[Edge, ...], float]:
+    """Replaces two of the added edges by one other as long as that mends the formation as well; else draws lots."""
+    edges, slowest = start
+    rng = np.random.default_rng(0)
+    better, left = True, 3 * most_designs
+    while better and least < len(edges) <= MOST_EXCHANGED:
+        # dearest candidates first, each in place of every two; then anything with one edge less
+        swaps = (tuple(sorted({*edges, new} - set(out))) for new, out in product(candidates, combinations(edges, 2)))
+        lots = (
+            tuple(sorted(candidates[k] for k in rng.choice(len(candidates), len(edges) - 1, replace=False)))
+            for _ in range(4 * most_designs)
+        )
+        better = False
+        for source in (swaps, lots):
+            for trial in source:
+                if better or left == 0 or stop():
+                    break
+                if len(trial) >= len(edges) or any(map(_ruled_out, split(with_edges(formation, trial)))):
+                    continue
+                left -= 1
+                value, _ = evaluate(with_edges(formation, trial))
+                if value >= MENDED:
+                    edges, slowest, better = trial, value, True
+    return edges, slowest
 
 
 def _apart(candidates: list[Edge], batch: int) -> list[Edge]:

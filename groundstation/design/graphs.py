@@ -25,6 +25,9 @@ Edge = tuple[int, int]
 Evaluate = Callable[[Formation], tuple[float, Certificate | None]]
 """Slowest certified mode, 1/s (0 when infeasible), and the certificate."""
 
+TREES = 200
+"""Spanning trees that are tried for one within the degree limit."""
+
 SHARE: dict[Kind, float] = {"sparse": 0.1, "balanced": 0.5, "robust": 0.8}
 """Slowest mode to reach, relative to what all edges within range and degree give."""
 
@@ -81,8 +84,10 @@ def suggest(
         The graph with its trade-off.
 
     Raises:
-        UserError: no graph within range and degree holds the formation.
+        UserError: no graph within range and degree holds the formation, or none was found; the range is not positive.
     """
+    if not range_m > 0:
+        raise UserError(f"sensing range {range_m:g} m: must be more than 0 m")
     n = formation.size
     limit = n - 1 if max_degree is None else max_degree
     distances = formation.distances_m
@@ -94,7 +99,13 @@ def suggest(
             f"{formation.name}: even all {len(every.edges)} pairs within {range_m:g} m do not hold the formation; "
             "allow a longer sensing range"
         )
-    now = _start(distances, allowed, limit)
+    tree = _tree(distances, allowed, limit)
+    if tree is None:
+        raise UserError(
+            f"{formation.name}: found no graph that joins all agents with at most {limit} neighbours each within "
+            f"{range_m:g} m; allow more neighbours or a longer range"
+        )
+    now = _start(tree, distances, allowed, limit)
     rows: list[Row] = []
     target = SHARE[kind] * ceiling
     enough = False
@@ -121,6 +132,8 @@ def suggest(
             survives = _survives(formation, row, evaluate)
             if survives:
                 break
+        if not survives:
+            chosen = max(reached, key=lambda row: row.slowest)
     final = Formation(formation.name, formation.points_enu_m, chosen.edges)
     return Suggestion(final, chosen.slowest, tuple(rows), survives)
 
@@ -130,11 +143,33 @@ def _formation(formation: Formation, pairs: np.ndarray) -> Formation:
     return Formation(formation.name, formation.points_enu_m, edges)
 
 
-def _start(distances: FloatArray, allowed: BoolArray, limit: int) -> BoolArray:
-    """Shortest spanning tree, then nearest neighbours until everyone has three, within range and degree."""
+def _tree(distances: FloatArray, allowed: BoolArray, limit: int) -> BoolArray | None:
+    """A short spanning tree within range and degree, or None when none was found.
+
+    Whether there is one is as hard as finding a path through all agents. Shortest trees are tried with edges made
+    longer at agents that had too many of them, which finds one wherever there is some choice.
+    """
     n = len(distances)
-    tree = scipy.sparse.csgraph.minimum_spanning_tree(np.where(allowed, distances, 0.0)).toarray() > 0
-    now: BoolArray = np.asarray(tree | tree.T)
+    length = np.where(allowed, distances, 0.0)
+    toll = np.zeros(n)
+    step = 0.1 * float(np.mean(length[allowed])) if allowed.any() else 0.0
+    for _ in range(TREES):
+        charged = np.where(allowed, length + toll[:, None] + toll[None, :], 0.0)
+        half = scipy.sparse.csgraph.minimum_spanning_tree(charged).toarray() > 0
+        tree: BoolArray = np.asarray(half | half.T)
+        degrees = tree.sum(axis=1)
+        if half.sum() < n - 1:
+            return None
+        if np.all(degrees <= limit):
+            return tree
+        toll += step * np.maximum(degrees - limit, 0)
+    return None
+
+
+def _start(tree: BoolArray, distances: FloatArray, allowed: BoolArray, limit: int) -> BoolArray:
+    """Spanning tree, then nearest neighbours until everyone has three, within range and degree."""
+    n = len(distances)
+    now: BoolArray = tree.copy()
     for wanted in (2, 3):
         for agent in range(n):
             for other in np.argsort(distances[agent], kind="stable"):

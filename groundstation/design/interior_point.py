@@ -86,43 +86,72 @@ def choose_basis(block: Block) -> Basis:
     return triangle_basis(block) or edge_basis(block)
 
 
+class InteriorPoint:
+    """One block under way: it can be taken to a coarse gap, left, and taken on from there."""
+
+    def __init__(self, block: Block, basis: Basis | None = None) -> None:
+        """Starts at y = 0.
+
+        Args:
+            block: the problem.
+            basis: unknowns; chosen by size, at the first step, when None.
+        """
+        self._block, self._basis = block, basis
+        self._now: _Iterate | None = None
+        self._iteration, self._stuck = 0, False
+
+    def advance(self, gap: float, watch: Watch) -> BlockSolution:
+        """Goes on to a relative gap.
+
+        Args:
+            gap: relative distance of t from its bound at which to stop.
+            watch: progress and interruption.
+
+        Returns:
+            The last feasible iterate; unfinished when interrupted or when rounding ended the progress first.
+        """
+        block = self._block
+        if block.free == 0 or len(block.edges) == 0:
+            return zero_solution(block)
+        if self._now is None and watch.stop():
+            return zero_solution(block, finished=False)
+        if self._basis is None:
+            self._basis = choose_basis(block)
+        basis = self._basis
+        if basis.count == 0:
+            return zero_solution(block)
+        d = block.free
+        unit = np.eye(d, dtype=block.dtype)
+        if self._now is None:
+            self._now = _Iterate(np.zeros(basis.count), -1.0, np.stack([unit, unit]), np.stack([unit, unit]) / d)
+        now = self._now
+        share = BOLD_STEP if isinstance(basis, DenseBasis) else CAREFUL_STEP
+        finished = _near_enough(now, gap)
+        while self._iteration < MOST_ITERATIONS and not (finished or self._stuck or watch.stop()):
+            self._iteration += 1
+            try:
+                _step(now, basis, unit, share)
+            except np.linalg.LinAlgError:
+                self._stuck = True
+                break
+            finished = _near_enough(now, gap)
+            watch.report(Progress(block.name, "interior-point", self._iteration, now.t, now.bound))
+        return BlockSolution(
+            matrix=basis.matrix(now.y),
+            dual=block.expand(now.dual[0] - now.dual[1]),
+            iterations=self._iteration,
+            finished=finished,
+        )
+
+
+def _near_enough(now: _Iterate, gap: float) -> bool:
+    left = now.bound - now.t
+    return left <= gap * max(now.bound, 0.0) or left <= NOTHING * 0.1 or now.bound <= NOTHING
+
+
 def solve_interior_point(block: Block, gap: float, watch: Watch, basis: Basis | None = None) -> BlockSolution:
-    """Solves one block to a relative gap.
-
-    Args:
-        block: the problem.
-        gap: relative distance of t from its bound at which to stop.
-        watch: progress and interruption.
-        basis: unknowns; chosen by size when None.
-
-    Returns:
-        The last feasible iterate; unfinished when interrupted or when rounding ended the progress first.
-    """
-    if block.free == 0 or len(block.edges) == 0:
-        return zero_solution(block)
-    unknowns = basis if basis is not None else choose_basis(block)
-    if unknowns.count == 0:
-        return zero_solution(block)
-    d = block.free
-    unit = np.eye(d, dtype=block.dtype)
-    now = _Iterate(np.zeros(unknowns.count), -1.0, np.stack([unit, unit]), np.stack([unit, unit]) / d)
-    share = BOLD_STEP if isinstance(unknowns, DenseBasis) else CAREFUL_STEP
-    iteration, finished = 0, False
-    while iteration < MOST_ITERATIONS and not finished and not watch.stop():
-        iteration += 1
-        try:
-            _step(now, unknowns, unit, share)
-        except np.linalg.LinAlgError:
-            break
-        left = now.bound - now.t
-        finished = left <= gap * max(now.bound, 0.0) or left <= NOTHING * 0.1 or now.bound <= NOTHING
-        watch.report(Progress(block.name, "interior-point", iteration, now.t, now.bound))
-    return BlockSolution(
-        matrix=unknowns.matrix(now.y),
-        dual=block.expand(now.dual[0] - now.dual[1]),
-        iterations=iteration,
-        finished=finished,
-    )
+    """Solves one block to a relative gap in one go; see ``InteriorPoint``."""
+    return InteriorPoint(block, basis).advance(gap, watch)
 
 
 def _step(now: _Iterate, basis: Basis, unit: Matrix, share: float) -> None:

@@ -27,6 +27,9 @@ BlockName = Literal["xy", "z"]
 Matrix = NDArray[Any]
 """complex128 for the block xy, float64 for z."""
 
+SPECTRAL_NORM = 10.0
+"""Fastest mode of every design, 1/s: (11) leaves the scale open, this is the authors' value."""
+
 FLAT_TOLERANCE = 1e-10
 """Spread of one coordinate, relative to the formation's size, below which all agents count as equal in it."""
 

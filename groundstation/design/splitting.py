@@ -178,48 +178,84 @@ def reduction(block: Block) -> _Reduced:
     return _whole(block)
 
 
+class Splitting:
+    """One block under way: it can be taken to a coarse gap, left, and taken on from there."""
+
+    def __init__(self, block: Block, most: int = MOST_ITERATIONS) -> None:
+        """Starts at the identity.
+
+        Args:
+            block: the problem.
+            most: iterations after which to give up.
+        """
+        self._block, self._most = block, most
+        self._small: _Reduced | None = None
+        self._iteration, self._weight = 0, WEIGHT
+        nothing: Matrix = np.zeros((0, 0), dtype=block.dtype)
+        self._state, self._best, self._best_dual = nothing, nothing, nothing
+        self._best_slowest, self._bound = 0.0, 1.0
+
+    def advance(self, gap: float, watch: Watch) -> BlockSolution:
+        """Goes on to a relative gap by Douglas-Rachford splitting.
+
+        Args:
+            gap: relative distance of t from its bound at which to stop.
+            watch: progress and interruption.
+
+        Returns:
+            The best matrix and the best dual found; unfinished when stopped early.
+        """
+        block = self._block
+        if block.free == 0 or len(block.edges) == 0:
+            return zero_solution(block)
+        if block.complete:
+            return solve_complete(block, gap, watch)
+        if self._small is None:
+            if watch.stop():
+                return zero_solution(block, finished=False)
+            self._start()
+        small = self._small
+        if small is None:
+            raise RuntimeError("the reduction was just made")
+        finished = self._near_enough(gap)
+        while self._iteration < self._most and not finished and not watch.stop():
+            admissible = small.project(self._state)
+            if self._iteration % CHECK_EVERY == 0 or (self._iteration < 20 and self._iteration in (1, 2, 4, 7, 13)):
+                self._look(admissible)
+                finished = self._near_enough(gap)
+                watch.report(Progress(block.name, "splitting", self._iteration + 1, self._best_slowest, self._bound))
+            bounded = _bounded(2 * admissible - self._state, self._weight)
+            self._state = self._state + bounded - admissible
+            self._iteration += 1
+        return BlockSolution(small.expand(self._best), small.lift(self._best_dual), self._iteration, finished)
+
+    def _start(self) -> None:
+        small = reduction(self._block)
+        unit = np.eye(small.size, dtype=self._block.dtype)
+        self._small, self._state = small, unit.copy()
+        # dual matrices of the size by which the pattern moves the identity balance the two projections
+        self._weight = WEIGHT * max(float(np.linalg.norm(unit - small.project(unit))), 1e-3)
+        self._best, self._best_dual = np.zeros_like(unit), unit
+
+    def _look(self, admissible: Matrix) -> None:
+        """Keeps the admissible matrix and the dual of this iteration if they are the best so far."""
+        values = np.linalg.eigvalsh(admissible)
+        # where pattern and kernel leave nothing but zero, what is left is rounding
+        if values[-1] > NOTHING and values[0] > self._best_slowest * values[-1]:
+            # scaled to the norm of the identity that fills up the rest
+            self._best, self._best_slowest = admissible / values[-1], float(values[0] / values[-1])
+        dual = self._state - admissible
+        proven = _bound(dual)
+        if proven < self._bound:
+            self._best_dual, self._bound = dual, proven
+
+    def _near_enough(self, gap: float) -> bool:
+        return self._bound - self._best_slowest <= gap * self._bound or self._bound <= NOTHING
+
+
 def solve_splitting(block: Block, gap: float, watch: Watch, most: int = MOST_ITERATIONS) -> BlockSolution:
-    """Solves one block to a relative gap by Douglas-Rachford splitting.
-
-    Args:
-        block: the problem.
-        gap: relative distance of t from its bound at which to stop.
-        watch: progress and interruption.
-        most: iterations after which to give up.
-
-    Returns:
-        The best matrix and the best dual found; unfinished when stopped early.
-    """
-    if block.free == 0 or len(block.edges) == 0:
-        return zero_solution(block)
-    if block.complete:
-        return solve_complete(block, gap, watch)
-    small = reduction(block)
-    unit = np.eye(small.size, dtype=block.dtype)
-    state = unit.copy()
-    # dual matrices of the size by which the pattern moves the identity balance the two projections
-    weight = WEIGHT * max(float(np.linalg.norm(unit - small.project(unit))), 1e-3)
-    best, best_slowest = np.zeros_like(unit), 0.0
-    best_dual, bound = unit, 1.0
-    iteration, finished = 0, False
-    while iteration < most and not finished and not watch.stop():
-        admissible = small.project(state)
-        if iteration % CHECK_EVERY == 0 or (iteration < 20 and iteration in (1, 2, 4, 7, 13)):
-            values = np.linalg.eigvalsh(admissible)
-            # where pattern and kernel leave nothing but zero, what is left is rounding
-            if values[-1] > NOTHING and values[0] > best_slowest * values[-1]:
-                # scaled to the norm of the identity that fills up the rest
-                best, best_slowest = admissible / values[-1], float(values[0] / values[-1])
-            dual = state - admissible
-            proven = _bound(dual)
-            if proven < bound:
-                best_dual, bound = dual, proven
-            finished = bound - best_slowest <= gap * bound or bound <= NOTHING
-            watch.report(Progress(block.name, "splitting", iteration + 1, best_slowest, bound))
-        bounded = _bounded(2 * admissible - state, weight)
-        state = state + bounded - admissible
-        iteration += 1
-    return BlockSolution(small.expand(best), small.lift(best_dual), iteration, finished)
+    """Solves one block to a relative gap in one go; see ``Splitting``."""
+    return Splitting(block, most).advance(gap, watch)
 
 
 def _bound(dual: Matrix) -> float:

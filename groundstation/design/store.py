@@ -24,12 +24,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat,
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import ComplexArray, FloatArray
-from groundstation.design.certify import Certificate, certify, faults
-from groundstation.design.problem import Matrix
+from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certificate, certify, faults
+from groundstation.design.problem import SPECTRAL_NORM, Matrix
 
 FILE_VERSION = 1
 CLAIM_TOLERANCE = 1e-6
-"""Stored eigenvalues may differ from recomputed ones by this much of the spectral norm."""
+"""Stored eigenvalues may differ from recomputed ones by this much of the spectral norm, and so may that itself."""
 
 DAMAGE = (
     OSError,
@@ -180,7 +180,15 @@ class StoredGains:
     method: str
 
 
-def save_gains(path: Path, formation: Formation, gains: Gains, certificate: Certificate, method: str) -> None:
+def save_gains(
+    path: Path,
+    formation: Formation,
+    gains: Gains,
+    certificate: Certificate,
+    method: str,
+    *,
+    spectral_norm: float = SPECTRAL_NORM,
+) -> None:
     """Writes a gains file; the same values give the same bytes, and a crash leaves the old file whole.
 
     Args:
@@ -189,11 +197,12 @@ def save_gains(path: Path, formation: Formation, gains: Gains, certificate: Cert
         gains: the matrices.
         certificate: their proof.
         method: what found them.
+        spectral_norm: fastest mode that they were designed for, 1/s.
 
     Raises:
         UserError: the gains are no design for this formation (nothing is written), or the file cannot be written.
     """
-    found = faults(formation, gains, certificate)
+    found = faults(formation, gains, certificate) + _wrong_scale(certificate, spectral_norm)
     if found:
         raise UserError(f"{path}: not stored, the gains are no design for {formation.name}: {'; '.join(found)}")
     members: dict[str, NDArray[np.generic]] = {
@@ -289,15 +298,25 @@ def _numbers(arrays: dict[str, NDArray[np.generic]], name: str, shape: tuple[int
     return values.astype(np.float64)
 
 
-def check_gains(stored: StoredGains, formation: Formation) -> Certificate:
+def _wrong_scale(certificate: Certificate, spectral_norm: float) -> list[str]:
+    """Blocks whose fastest mode is not the one that all designs have: nothing else fixes the scale of a matrix."""
+    return [
+        f"{name}: the fastest mode is {block.fastest:.6g} 1/s, designs have {spectral_norm:g} 1/s"
+        for name, block in (("xy", certificate.xy), ("z", certificate.z))
+        if np.isfinite(block.slowest) and not abs(block.fastest - spectral_norm) <= CLAIM_TOLERANCE * spectral_norm
+    ]
+
+
+def check_gains(stored: StoredGains, formation: Formation, spectral_norm: float = SPECTRAL_NORM) -> Certificate:
     """Checks a gains file against the formation that is to be flown, and against itself.
 
-    Belonging: same coordinates, same edges. Soundness: kernel, symmetry, structure (3), pattern, spectrum; the stored
-    figures are compared with recomputed ones.
+    Belonging: same coordinates, same edges. Soundness: kernel, symmetry, structure (3), pattern, spectrum, scale; the
+    stored figures are compared with recomputed ones.
 
     Args:
         stored: what ``load_gains`` read.
         formation: what is to be flown.
+        spectral_norm: fastest mode that the gains were designed for, 1/s.
 
     Returns:
         The recomputed certificate.
@@ -334,10 +353,19 @@ def check_gains(stored: StoredGains, formation: Formation) -> Certificate:
     found = faults(formation, stored.gains, certificate)
     if found:
         raise UserError(f"{where}: no sound design: {'; '.join(found)}; {mend}")
-    now = claims(certificate)[:, :4]
-    norm = max(certificate.xy.fastest, certificate.z.fastest, 1.0)
-    with np.errstate(invalid="ignore"):
-        differs = (np.abs(now - stored.claims[:, :4]) > CLAIM_TOLERANCE * norm) & (now != stored.claims[:, :4])
-    if differs.any() or np.isnan(stored.claims).any():
+    parts = (certificate.xy, certificate.z)
+    if any(_differ(part, claim) for part, claim in zip(parts, stored.claims, strict=True)):
         raise UserError(f"{where}: the stored certificate does not fit the gains, the file was altered; {mend}")
+    found = _wrong_scale(certificate, spectral_norm)
+    if found:
+        raise UserError(f"{where}: no sound design: {'; '.join(found)}; {mend}")
     return certificate
+
+
+def _differ(figures: BlockCertificate, claim: FloatArray) -> bool:
+    """Whether stored figures are not those of the matrix; rounding differs from one machine to the next."""
+    now = np.array([figures.slowest, figures.fastest, figures.bound, figures.zeros, figures.residual])
+    norm = max(figures.fastest, 1.0)
+    allowed = norm * np.array([CLAIM_TOLERANCE] * 3 + [0.0, RESIDUAL_LIMIT])
+    with np.errstate(invalid="ignore"):
+        return not bool(np.all((now == claim) | (np.abs(now - claim) <= allowed)))

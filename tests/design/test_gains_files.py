@@ -187,6 +187,40 @@ def test_every_broken_property_is_found_and_named() -> None:
             check_gains(broken, formation)
 
 
+def test_packaged_gains_are_sound() -> None:
+    for path in sorted((packaged_configs() / "gains").glob("*.npz")):
+        check_gains(load_gains(path), load_formation(packaged_configs() / "formations" / f"{path.stem}.yaml"))
+
+
+@pytest.mark.parametrize("factor", [1e-12, 0.5, 1.001, 1e4])
+def test_scale_of_a_matrix_is_checked_even_when_all_its_figures_fit(factor: float) -> None:
+    stored, formation = load_gains(CUBE_GAINS), load_formation(CUBE)
+    gains = Gains(xy=factor * stored.gains.xy, z=factor * stored.gains.z)
+    figures = stored.claims * np.array([factor, factor, factor, 1.0, factor])
+    with pytest.raises(UserError, match=r"fastest mode is .* designs have 10 1/s"):
+        check_gains(replace(stored, gains=gains, claims=figures), formation)
+
+
+@pytest.mark.parametrize("column", range(5))
+@pytest.mark.parametrize("value", [0.5, -1.0, np.nan, np.inf])
+def test_every_stored_figure_is_compared(column: int, value: float) -> None:
+    stored, formation = load_gains(CUBE_GAINS), load_formation(CUBE)
+    figures = stored.claims.copy()
+    figures[1, column] = value
+    with pytest.raises(UserError, match="stored certificate does not fit"):
+        check_gains(replace(stored, claims=figures), formation)
+
+
+def test_gains_of_another_scale_are_not_written(tmp_path: Path) -> None:
+    formation = load_formation(CUBE)
+    result = design(formation, spectral_norm=20.0)
+    assert result.gains is not None
+    assert result.certificate is not None
+    with pytest.raises(UserError, match="designs have 10 1/s"):
+        save_gains(tmp_path / "fast.npz", formation, result.gains, result.certificate, result.method)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_gains_of_another_formation_are_refused() -> None:
     stored, formation = load_gains(CUBE_GAINS), load_formation(CUBE)
     moved = formation.points_enu_m.copy()

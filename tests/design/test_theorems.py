@@ -12,7 +12,7 @@ from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import FloatArray
 from groundstation.design.designer import design, evaluator
 from groundstation.design.matrices import aggregate, damped_modes
-from groundstation.design.robustness import assess, monte_carlo, without_agent, without_edge
+from groundstation.design.robustness import Perturbation, assess, monte_carlo, without_agent, without_edge
 from groundstation.design.store import check_gains, load_formation, load_gains
 
 NAMES = ("cube8", "two_squares8_low", "tetrahedron4", "pyramid6", "ring12")
@@ -163,6 +163,27 @@ def test_report_tells_losses_with_the_old_gains_and_after_a_new_design() -> None
     again = design(rest)
     assert again.certificate is not None
     assert report.edges[0].redesigned == pytest.approx(-(again.certificate.lambda_max or 0.0), rel=0.06)
+
+
+def test_lost_edge_that_makes_a_mode_grow_is_told() -> None:
+    """Without an edge whose gain pulls, the others may push: growth is the largest eigenvalue, computed here anew."""
+    formation, gains = team("two_squares8_low")
+    result = design(formation)
+    assert result.certificate is not None
+    report = assess(formation, gains, result.certificate, lambda _: (0.0, None), rng=np.random.default_rng(1), runs=1)
+    grows = 0
+    for loss, edge in zip(report.edges, formation.edges, strict=True):
+        rest = without_edge(gains, *edge)
+        largest = max(np.linalg.eigvals(rest.xy).real.max(), np.linalg.eigvals(rest.z).real.max())
+        assert loss.growth == pytest.approx(largest if largest > 1e-6 else 0.0, abs=1e-6)
+        grows += largest > 1e-3
+    assert grows > 0, "no loss of this formation makes a mode grow, the test shows nothing"
+
+
+def test_monte_carlo_counts_rises_where_the_theorem_does_not_hold() -> None:
+    formation, gains = team("cube8")
+    beyond = Perturbation(angle_max_rad=np.pi, scale_min=1.0, scale_max=1.0, dwell_s=0.02)
+    assert monte_carlo(formation, gains, np.random.default_rng(5), 1, beyond).lyapunov_rises > 0
 
 
 def test_losses_are_taken_out_of_both_rows_and_keep_translations() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray
+from groundstation.design import designer, diagnosis, graphs
 from groundstation.design.designer import design, evaluator
 from groundstation.design.diagnosis import fewest_conceivable, mend, weak_agents, with_edges
 from groundstation.design.graphs import suggest
@@ -72,6 +76,11 @@ def test_near_agents_are_told_and_coincident_ones_refused() -> None:
     refused = design(complete(near))
     assert refused.gains is None
     assert "agents 4 and 7 stand in one place" in refused.reason
+    near[3] = near[6] + [1e-8, 0, 0]
+    refused = design(complete(near))
+    assert refused.gains is None
+    assert "agents 4 and 7 are 1e-08 m apart, under the limit of" in refused.reason
+    assert "stand in one place" not in refused.reason
 
 
 SQUARE = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
@@ -118,6 +127,74 @@ def test_published_graphs_that_join_diagonals_need_one_edge_more() -> None:
         assert design(with_edges(formation, found.edges)).feasible
 
 
+def test_group_that_hangs_by_two_agents_is_named() -> None:
+    team = [(i, j) for i in range(6) for j in range(i + 1, 6)]
+    refused = design(graph(8, [*team, (0, 6), (6, 7), (1, 7)]))
+    assert refused.gains is None
+    assert "agents 7 and 8 hang on the rest by agents 1 and 2 alone, a separating pair" in refused.reason
+    # one agent with two neighbours is held by them, and so are two with one edge more
+    assert design(graph(7, [*team, (0, 6), (1, 6)])).feasible
+    held = design(graph(8, [*team, (0, 6), (6, 7), (1, 7), (1, 6)]))
+    assert "separating pair" not in held.reason
+
+
+def test_line_needs_fewer_edges_than_general_position_and_fewest_is_true() -> None:
+    """Two pieces of a path on one line: the count for general position would claim three, two do."""
+    line = Formation("line", np.arange(10.0)[:, None] * [1.0, 0.5, 0.3], tuple((i, i + 1) for i in range(9) if i != 4))
+    result = design(line)
+    assert result.certificate is not None
+    found = mend(line, result.certificate, evaluator(gap=0.2))
+    assert found is not None
+    assert (len(found.edges), found.fewest) == (2, True)
+    assert fewest_conceivable(line) == 2
+
+
+def test_regular_polygon_is_held_horizontally_by_its_sides() -> None:
+    """Why the count of free numbers is no proof: n edges where general position needs (3n - 3) / 2."""
+    turn = np.arange(7) * 2 * np.pi / 7
+    ring = Formation(
+        "ring",
+        np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1),
+        tuple(sorted([(0, 6), *((i, i + 1) for i in range(6))])),
+    )
+    assert design(ring).feasible
+    assert fewest_conceivable(ring) == 0
+
+
+def test_greedy_mend_makes_no_claim_that_was_not_proven() -> None:
+    ring = graph(8, [(0, 7), *((i, i + 1) for i in range(7))])
+    result = design(ring)
+    assert result.certificate is not None
+    found = mend(ring, result.certificate, evaluator(gap=0.2), most_designs=5)
+    assert found is not None
+    assert len(found.edges) > 3
+    assert not found.fewest
+    assert design(with_edges(ring, found.edges)).feasible
+
+
+def test_exchange_finds_fewer_edges_than_pruning() -> None:
+    """Any one of a few edges mends this pair of teams; what pruning left is replaced by less."""
+    ring = graph(8, [(0, 7), *((i, i + 1) for i in range(7))])
+    candidates = [(i, j) for i in range(8) for j in range(i + 1, 8) if (i, j) not in ring.edges]
+    wanted = {(0, 2), (1, 4), (3, 6)}
+
+    def evaluate(formation: Formation) -> tuple[float, None]:
+        return (1.0 if wanted <= set(formation.edges) else 0.0), None
+
+    start = (((0, 2), (0, 4), (1, 4), (2, 7)), 1.0)
+    found, slowest = diagnosis._exchange(
+        ring, candidates, start, least=1, evaluate=evaluate, most_designs=150, stop=lambda: False
+    )
+    assert (set(found), slowest) == (wanted, 1.0)
+
+
+def test_stop_ends_the_search_for_mending_edges() -> None:
+    ring = graph(8, [(0, 7), *((i, i + 1) for i in range(7))])
+    result = design(ring)
+    assert result.certificate is not None
+    assert mend(ring, result.certificate, evaluator(gap=0.2), stop=lambda: True) is None
+
+
 @pytest.mark.parametrize("kind", ["path", "star", "cycle"])
 def test_mending_edges_are_few_and_enough(kind: str) -> None:
     n = 7
@@ -129,10 +206,11 @@ def test_mending_edges_are_few_and_enough(kind: str) -> None:
     formation = graph(n, edges)
     result = design(formation)
     assert result.certificate is not None
-    found = mend(formation, result.certificate, evaluator(gap=0.2))
+    found = mend(formation, result.certificate, evaluator(gap=0.2), most_designs=20)
     assert found is not None
     assert design(with_edges(formation, found.edges)).feasible
-    assert fewest_conceivable(formation) <= len(found.edges) <= fewest_conceivable(formation) + 2
+    in_general_position = int(np.ceil((3 * n - 3) / 2)) - len(edges)
+    assert fewest_conceivable(formation) <= len(found.edges) <= max(in_general_position, 3) + 2
     # none of them is superfluous
     for edge in found.edges:
         rest = [other for other in found.edges if other != edge]
@@ -173,10 +251,45 @@ def test_suggested_graphs_keep_range_and_degree_and_grow_with_the_wish() -> None
             assert design(Formation("rest", robust.formation.points_enu_m, rest)).feasible
 
 
+def hub() -> Formation:
+    """Seven agents about one, farther from each other than from it: the shortest tree is a star."""
+    around = np.array([[1, 0, 0], [-1, 0.1, 0], [0, 1, 0.1], [0.1, -1, 0], [0, 0.1, 1], [0.1, 0, -1], [0.9, 0.9, 0.9]])
+    return Formation("hub", np.vstack([[0.0, 0.0, 0.0], around]), ())
+
+
+def test_degree_limit_holds_where_the_shortest_tree_breaks_it() -> None:
+    found = suggest(hub(), "sparse", evaluator(gap=0.05), max_degree=4)
+    assert all(max(np.bincount(np.ravel(row.edges))) <= 4 for row in found.rows)
+    with pytest.raises(UserError, match="at most 1 neighbours each"):
+        suggest(hub(), "sparse", evaluator(gap=0.05), max_degree=1)
+
+
+def test_robust_without_a_survivor_is_the_one_with_the_best_slowest_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graphs, "_survives", lambda *_: False)
+
+    def evaluate(formation: Formation) -> tuple[float, None]:
+        return (10.0 if len(formation.edges) == 28 else 8.8 - 0.01 * len(formation.edges)), None
+
+    found = suggest(hub(), "robust", evaluate, max_degree=5)
+    assert found.survives_edges is False
+    assert len(found.rows) > 1
+    assert found.slowest == max(row.slowest for row in found.rows)
+
+
+def test_robust_says_so_when_a_lost_edge_cannot_be_spared() -> None:
+    """Three agents need all their three edges."""
+    found = suggest(Formation("three", CLOUD[:3], ()), "robust", evaluator(gap=0.05))
+    assert found.survives_edges is False
+    five = suggest(Formation("five", CLOUD[:5], ()), "robust", evaluator(gap=0.05))
+    assert five.survives_edges is True
+
+
 def test_range_that_is_too_short_is_refused_with_a_remedy() -> None:
     points = Formation("cloud", np.arange(12.0).reshape(4, 3), ())
     with pytest.raises(UserError, match="allow a longer sensing range"):
         suggest(points, "sparse", evaluator(), range_m=1.0)
+    with pytest.raises(UserError, match="must be more than 0 m"):
+        suggest(points, "sparse", evaluator(), range_m=-1.0)
 
 
 def test_interrupted_design_keeps_the_best_certified_matrix() -> None:
@@ -197,6 +310,58 @@ def test_interrupted_design_keeps_the_best_certified_matrix() -> None:
     # intervals only ever close in
     horizontal = [now for now in seen if now.block == "xy"]
     assert all(now.slowest <= now.bound + 1e-9 for now in horizontal)
+
+
+def test_time_that_runs_out_leaves_a_sound_graph_undecided() -> None:
+    formation = complete(np.random.default_rng(8).normal(size=(30, 3)))
+    formation = Formation("sparse", formation.points_enu_m, formation.edges[::4])
+    for looks in range(12):
+        left = iter([False] * looks)
+        cut = design(formation, watch=Watch(stop=lambda left=left: next(left, True)))  # type: ignore[misc]
+        if cut.gains is None:
+            assert cut.undecided
+            assert cut.reason.startswith("undecided: time ran out before a matrix could be certified")
+            assert "no gains on this graph" not in cut.reason
+    # a refusal with a proof is none of that
+    assert not design(graph(4, [(0, 1), (0, 2), (1, 2), (2, 3)])).undecided
+
+
+def test_whole_design_comes_before_a_fine_one() -> None:
+    """Both blocks are taken to a coarse gap first; from then on a stop finds gains, and the slower block is refined."""
+    formation = complete(np.random.default_rng(8).normal(size=(30, 3)))
+    formation = Formation("sparse", formation.points_enu_m, formation.edges[::4])
+    seen: list[Progress] = []
+    design(formation, gap=1e-4, watch=Watch(report=seen.append))
+    order = [now.block for now in seen]
+    turns = [block for k, block in enumerate(order) if k == 0 or order[k - 1] != block]
+    assert turns[:2] == ["z", "xy"]
+    first = [now for now in seen[: order.index("xy")] if now.block == "z"]
+    assert first[-1].bound - first[-1].slowest > 1e-3 * first[-1].bound, "z is not polished while xy has nothing"
+    # what is reported is the best so far, over all methods
+    for block in ("xy", "z"):
+        own = [now for now in seen if now.block == block]
+        assert all(b.slowest >= a.slowest and b.bound <= a.bound for a, b in pairwise(own))
+
+
+@pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-6])
+def test_finished_means_that_the_certified_gap_is_reached(gap: float) -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        shape = complete(rng.normal(size=(20, 3)))
+        edges = tuple(edge for edge in shape.edges if rng.random() < (0.4, 0.5, 0.7, 0.9)[seed])
+        result = design(Formation("random", shape.points_enu_m, edges), gap=gap)
+        assert result.certificate is not None
+        assert result.feasible
+        assert result.finished
+        assert result.certificate.gap <= gap
+
+
+def test_gap_beyond_the_one_asked_for_is_not_reached() -> None:
+    result = design(graph(4, SQUARE))
+    assert result.certificate is not None
+    figures = replace(result.certificate.xy, bound=10.0)
+    assert designer._reached(replace(figures, slowest=9.9), 0.01, 10.0)
+    assert not designer._reached(replace(figures, slowest=9.85), 0.01, 10.0)
 
 
 def test_unknown_methods_and_wrong_ones_are_errors() -> None:
