@@ -141,7 +141,7 @@ def dual_on_non_edges(block: Block, dual: Matrix) -> Matrix:
         Hermitian, exactly zero on edges and diagonal, shape (n, n).
     """
     if block.free == 0 or block.complete:
-        return np.zeros_like(dual)
+        return np.zeros(dual.shape, dtype=dual.dtype)  # not zeros_like, which would touch all of the memory
     off_pattern = block.outside
     moved = hermitian_part(dual)
     share = _kernel_share(block, moved)
@@ -266,10 +266,11 @@ def _spectrum(block: Block, gain: Matrix) -> tuple[FloatArray, float]:
     """
     if block.complete:
         level = -float(np.trace(gain).real) / block.free
-        projector = np.eye(block.size, dtype=gain.dtype) - block.kernel @ block.kernel.conj().T
-        projector *= level
-        projector += gain
-        away = float(np.linalg.norm(projector))
+        # gain + level (I - N N*), put together in one piece of memory
+        difference: Matrix = np.matmul(block.kernel * -level, block.kernel.conj().T).astype(gain.dtype, copy=False)
+        difference += gain
+        difference[np.diag_indices(block.size)] += level
+        away = float(np.linalg.norm(difference))
         if away <= 1e-11 * abs(level):
             return np.full(block.free, level), away
     return eigenvalues(block, -gain), 0.0

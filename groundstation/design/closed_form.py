@@ -26,11 +26,13 @@ def solve_complete(block: Block, gap: float, watch: Watch | None = None) -> Bloc
         raise ValueError(f"block {block.name}: the closed form needs a complete graph")
     # real and imaginary part apart, so that the result is Hermitian to the bit
     real, imaginary = block.kernel.real, block.kernel.imag
-    matrix = np.eye(block.size, dtype=block.dtype)
+    matrix = np.empty((block.size, block.size), dtype=block.dtype)
     if block.is_complex:
         crossed = imaginary @ real.T
-        matrix.real -= real @ real.T + imaginary @ imaginary.T
-        matrix.imag -= crossed - crossed.T
+        np.negative(real @ real.T + imaginary @ imaginary.T, out=matrix.real)
+        np.subtract(crossed.T, crossed, out=matrix.imag)
     else:
-        matrix -= real @ real.T
-    return BlockSolution(matrix=matrix, dual=np.zeros_like(matrix), iterations=0, finished=True)
+        np.negative(real @ real.T, out=matrix)
+    matrix[np.diag_indices(block.size)] += 1.0
+    dual = np.zeros(matrix.shape, dtype=matrix.dtype)  # not zeros_like, which would touch all of the memory
+    return BlockSolution(matrix=matrix, dual=dual, iterations=0, finished=True)

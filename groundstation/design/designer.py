@@ -264,7 +264,7 @@ def _nearly(found: _Found) -> bool:
 
 def _judge(block: Block, name: str, solution: BlockSolution, gap: float, spectral_norm: float) -> _Found:
     if name == "closed-form":
-        gain = -spectral_norm * solution.matrix
+        gain = np.multiply(solution.matrix, -spectral_norm, out=solution.matrix)  # nobody else holds it
     else:
         gain = -scale_to_norm(block, clean(block, solution.matrix), spectral_norm)
     dual = dual_on_non_edges(block, solution.dual)
