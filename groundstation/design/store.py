@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
 
 from groundstation.core.errors import UserError
+from groundstation.core.files import read_yaml
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import ComplexArray, FloatArray
 from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certificate, certify, faults
@@ -85,15 +85,7 @@ def load_formation_file(path: Path) -> FormationFile:
     Raises:
         UserError: unreadable, not YAML, an unknown key, a wrong type or an impossible edge; names file and key.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}); name an existing formation file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        where = str(error).replace("\n", " ")
-        raise UserError(f"{path}: not valid YAML ({where})") from error
-    if not isinstance(content, dict):
-        raise UserError(f"{path}: expected the keys name, scale, points and edges, found {type(content).__name__}")
+    content = read_yaml(path)
     try:
         file = FormationFile.model_validate(content)
     except ValidationError as error:

@@ -244,3 +244,19 @@ def test_unsound_gains_are_never_written(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="not stored, the gains are no design for cube8"):
         save_gains(tmp_path / "bad.npz", formation, zero, certificate, "none")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name: a\nname: b\npoints: [[0, 0, 0]]\nedges: complete\n", "key 'name' is given twice"),
+        ("[" * 5000, "is not valid YAML"),
+    ],
+    ids=["key given twice", "nested too deep"],
+)
+def test_formation_files_are_read_as_strictly_as_missions(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "formation.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=r"formation\.yaml") as caught:
+        load_formation(path)
+    assert message in str(caught.value)
