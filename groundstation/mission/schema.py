@@ -102,6 +102,7 @@ class LimitsSpec(_Strict):
     arming_s: Positive = 60.0
     pad_error_m: Positive | None = None
     frame_drift_m: Positive | None = None
+    hold_s: Positive = 300.0
     battery_min: Annotated[Number, Field(ge=0, lt=1)] = 0.2
 
 
