@@ -348,6 +348,9 @@ class Runner:
         names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.lost(now_ns))]
         if names:
             self._abort(f"{', '.join(names)}: not heard from any more, whether it has landed is not known")
+        names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.unsure(now_ns))]
+        if names:
+            self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
             self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
