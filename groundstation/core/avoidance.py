@@ -48,8 +48,8 @@ class Caps:
 class SafetyRegion(Protocol):
     """A shape around every agent that others stay out of, known by the directions that it blocks."""
 
-    def caps(self, rel_pos_flu_m: FloatArray, visible: BoolArray) -> Caps:
-        """Returns the caps for relative positions (m, n, 3) of visible agents (m, n)."""
+    def caps(self, views: LocalViews) -> Caps:
+        """Returns the caps of m agents; radius and activation grow by ``views.extra_m``."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,18 @@ class SafetySphere:
                 "must be 0 < radius <= activation"
             )
 
-    def caps(self, rel_pos_flu_m: FloatArray, visible: BoolArray) -> Caps:
+    def caps(self, views: LocalViews) -> Caps:
         """Returns caps of half angle asin(r / distance); 90 degrees from r inwards, so that one can only part.
 
         A coincident agent (distance below 1e-9 m) has no direction and blocks none: any motion parts.
         """
+        rel_pos_flu_m = views.rel_pos_flu_m
         x, y, z = rel_pos_flu_m[..., 0], rel_pos_flu_m[..., 1], rel_pos_flu_m[..., 2]
         distance = np.sqrt(x * x + y * y + z * z)
         # Comparisons with NaN (not visible) are False.
-        active = visible & (distance < self.activation_m) & (distance > 1e-9)
+        active = views.visible & (distance < self.activation_m + views.extra_m) & (distance > 1e-9)
         safe = np.where(active, distance, 1.0)
-        sin_half = np.minimum(self.radius_m / safe, 1.0)
+        sin_half = np.minimum((self.radius_m + views.extra_m) / safe, 1.0)
         return Caps(
             centre_flu=rel_pos_flu_m / safe[..., None],
             cos_half=np.sqrt(1.0 - sin_half * sin_half),
@@ -129,7 +130,7 @@ def avoid(views: LocalViews, desired_flu_m_s: FloatArray, region: SafetyRegion) 
     """
     if desired_flu_m_s.shape != (views.viewers, 3) or not np.all(np.isfinite(desired_flu_m_s)):
         raise ValueError(f"desired velocities must be finite and of shape ({views.viewers}, 3)")
-    caps = region.caps(views.rel_pos_flu_m, views.visible)
+    caps = region.caps(views)
     m = views.viewers
     vel = desired_flu_m_s.copy()
     blocked = np.zeros(m, dtype=np.bool_)

@@ -9,6 +9,9 @@ would remain if both stopped now: what is already moving counts, not only what i
 are met together by the smallest change of its velocity (a projection onto a convex polyhedron, solved exactly).
 A negative h commands the pair apart. The argument, with its assumptions, stands in docs/avoidance.md.
 
+An obstacle (``LocalViews.extra_m`` above zero) does its half of nothing: there r grows by that, and i does both halves,
+n_ij . u_i <= alpha h_ij + min(n_ij . w_j, 0), w_j the obstacle's velocity as measured.
+
 Refuses parameters for which the argument does not hold. It does not know other agents' intentions: both sides of a
 pair must run it.
 """
@@ -210,10 +213,18 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
     distance = np.where(seen, distance, 1.0)
     normals = np.where(seen[..., None], rel, 0.0) / distance[..., None]
     rel_vel = views.rel_vel_flu_m_s
-    parting = normals[..., 0] * rel_vel[..., 0] + normals[..., 1] * rel_vel[..., 1] + normals[..., 2] * rel_vel[..., 2]
-    parting = np.where(np.isfinite(parting), np.minimum(parting, 0.0), -params.speed_limit_m_s)
-    left = distance - (params.radius_m + params.margin_m) + params.horizon_s * parting
-    bounds = np.maximum(0.5 * params.rate_1_s * left, -params.speed_limit_m_s)
+    rate = normals[..., 0] * rel_vel[..., 0] + normals[..., 1] * rel_vel[..., 1] + normals[..., 2] * rel_vel[..., 2]
+    parting = np.where(np.isfinite(rate), np.minimum(rate, 0.0), -params.speed_limit_m_s)
+    left = distance - (params.radius_m + params.margin_m + views.extra_m) + params.horizon_s * parting
+    bounds = 0.5 * params.rate_1_s * left
+    unsteered = seen & (views.extra_m > 0.0)
+    if unsteered.any():
+        own = views.vel_flu_m_s[:, None]
+        towards = normals[..., 0] * own[..., 0] + normals[..., 1] * own[..., 1] + normals[..., 2] * own[..., 2]
+        # Of an obstacle whose velocity is unknown no more is known than that the pair may close at full speed.
+        its_own = np.where(np.isfinite(rate + towards), np.minimum(rate + towards, 0.0), 0.0)
+        bounds = np.where(unsteered, params.rate_1_s * left + its_own, bounds)
+    bounds = np.maximum(bounds, -params.speed_limit_m_s)
     return normals, np.where(seen, bounds, np.inf)
 
 

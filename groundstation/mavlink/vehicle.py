@@ -42,6 +42,8 @@ _METRES_PER_DEGREE = 111_320.0
 COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "ATTITUDE")
 """Message types whose rate is looked after."""
 
+HEARTBEAT_PATIENCE = 3.0
+"""How many times longer a heartbeat may be missing than everything."""
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
 
@@ -90,6 +92,7 @@ class Fleet:
         sysid: MAVLink system ids, shape (n,).
         link: index of the link each vehicle is expected on, shape (n,).
         peer: address that each vehicle was last heard from on its link; None before.
+        heard_ns: arrival of the last frame of any kind, shape (n,).
         heartbeat_ns: arrival of the last HEARTBEAT, shape (n,).
         autopilot: MAV_AUTOPILOT, UNKNOWN before the first heartbeat, shape (n,).
         custom_mode: autopilot's own mode word, UNKNOWN before, shape (n,).
@@ -123,6 +126,7 @@ class Fleet:
         self.sysid: IntArray = np.array(sysids, dtype=np.int64)
         self.link: IntArray = np.array(links, dtype=np.int64)
         self.peer: list[str | None] = [None] * n
+        self.heard_ns = _times(n)
         self.heartbeat_ns = _times(n)
         self.autopilot = _unknowns(n)
         self.custom_mode = _unknowns(n)
@@ -152,7 +156,6 @@ class Fleet:
         self._acks: list[Ack] = []
         self._texts: list[Text] = []
         self._timesync: list[TimesyncRequest] = []
-        self._peer_ns = _times(n)
         self._quaternion_ns = _times(n)
         self._position_times, self._place_times, self._attitude_times = BootTimes(n), BootTimes(n), BootTimes(n)
         self._pieces: dict[int, tuple[int, dict[int, bytes]]] = {}
@@ -199,12 +202,12 @@ class Fleet:
     def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
         """Whether a frame comes from where the vehicle is; it may move only after a silence."""
         if self.peer[row] != item.peer:
-            if self.peer[row] is not None and item.t_rx_ns - int(self._peer_ns[row]) < _PEER_SILENT_NS:
+            if self.peer[row] is not None and item.t_rx_ns - int(self.heard_ns[row]) < _PEER_SILENT_NS:
                 if item.frame.msgid == _HEARTBEAT:
                     self._rivals[row] = (item.peer, item.t_rx_ns)
                 return False
             self.peer[row] = item.peer
-        self._peer_ns[row] = item.t_rx_ns
+        self.heard_ns[row] = item.t_rx_ns
         return True
 
     def twin(self, vehicle: int, now_ns: int) -> str | None:
@@ -234,6 +237,19 @@ class Fleet:
         return sorted(
             where for (name, where), t_ns in self._elsewhere.items() if name == sysid and now_ns - t_ns < _RIVAL_NS
         )
+
+    def silent(self, now_ns: int, limit_s: float) -> BoolArray:
+        """Vehicles of which nothing at all was heard for longer than a time, shape (n,)."""
+        return np.asarray(now_ns - self.heard_ns > limit_s * 1e9)
+
+    def heartbeat_stale(self, now_ns: int, limit_s: float) -> BoolArray:
+        """Vehicles whose mode and arming are no longer known, shape (n,).
+
+        Heartbeats come once a second, and a poor link loses four in a row now and then: as long as anything else
+        arrives, they may be missing for three times the limit.
+        """
+        quiet = now_ns - self.heartbeat_ns > HEARTBEAT_PATIENCE * limit_s * 1e9
+        return np.asarray(quiet | self.silent(now_ns, limit_s))
 
     def _count(self, event: str, times: int) -> None:
         if times:

@@ -6,7 +6,7 @@ agent's own view. Keeps no state but the last setpoints, whose slope is limited.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
 
+_NOBODY: FloatArray = np.zeros(0)
+"""Stands for zeros of whatever size is right."""
 _LEVEL_MIN_M = 1e-3  # nearer than that there is no direction to leave in
 
 
@@ -31,12 +33,23 @@ class Poses:
         vel_ned_m_s: shape (n, 3).
         quat_ned_from_frd: shape (n, 4).
         sinking: not steered by us, or its position is lost: it may come down anywhere below, shape (n,).
+        extra_radius_m: what is added to r around a vehicle that nobody steers, so that the others do both halves of
+            every manoeuvre, shape (n,), >= 0; zero for those we steer. Zeros when left out.
     """
 
     pos_team_ned_m: FloatArray
     vel_ned_m_s: FloatArray
     quat_ned_from_frd: FloatArray
     sinking: BoolArray
+    extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
+
+    def __post_init__(self) -> None:
+        """Fills in what was left out, and refuses radii of the wrong size."""
+        n = len(self.pos_team_ned_m)
+        if self.extra_radius_m is _NOBODY:
+            object.__setattr__(self, "extra_radius_m", np.zeros(n))
+        elif self.extra_radius_m.shape != (n,):
+            raise ValueError(f"poses: extra radii have shape {self.extra_radius_m.shape}, expected ({n},)")
 
 
 @dataclass(frozen=True)
@@ -122,6 +135,7 @@ class Guide:
         A vehicle that is not steered by us may be coming down, and one whose position is lost may be anywhere below
         where it was last seen: those below see it at their own height, so that they leave the column under it. It
         does its half of no manoeuvre: inside the radius it is shown twice as deep inside, so that they do both halves.
+        Around a vehicle with an extra radius they do so by themselves.
         """
         offset_ned = poses.pos_team_ned_m[None, :] - poses.pos_team_ned_m[:, None]
         under = poses.sinking[None, :] & (offset_ned[..., 2] < 0.0)
@@ -130,15 +144,29 @@ class Guide:
             keep_out_m = self._damper.radius_m + self._damper.margin_m
             beside_m = np.maximum(np.linalg.norm(offset_ned, axis=2), _LEVEL_MIN_M)
             shown_m = np.clip(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
-            offset_ned *= np.where(under, shown_m / beside_m, 1.0)[..., None]
-        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_m**2
+            steered = poses.extra_radius_m[None, :] == 0.0
+            offset_ned *= np.where(under & steered, shown_m / beside_m, 1.0)[..., None]
+        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_of(poses) ** 2
         views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        if poses.extra_radius_m.any():
+            # From where it is itself, an obstacle has nobody to make room for.
+            extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[None, :])
+            views = replace(views, extra_m=extra_m)
         if not under.any():
             return views
         rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
         level_flu_m = frames.rotate_back(rot_ned_from_flu[:, None], offset_ned)
         shown = (under & views.visible)[..., None]
         return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
+
+    def _reach_of(self, poses: Poses) -> FloatArray | float:
+        """How far each vehicle has to be seen by the others: farther where it is an obstacle, or a fast one."""
+        if not poses.extra_radius_m.any():
+            return self._reach_m
+        speed_m_s = np.nan_to_num(np.linalg.norm(poses.vel_ned_m_s, axis=1))
+        faster_m_s = np.maximum(speed_m_s - self._plan.spec.speed_limit_m_s, 0.0)
+        farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
+        return self._reach_m + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
 
     def _finish(self, poses: Poses, views: LocalViews, wish_flu_m_s: FloatArray, box: Fence) -> Setpoints:
         speed_max = self._plan.spec.speed_limit_m_s

@@ -3,7 +3,8 @@
 Landing where they are, a team may hover in layers: whoever has somebody below moves aside first (``clear_spots``).
 
 A vehicle that nobody has heard from for a while cannot be waited for: it is given up as lost, by name, so that the
-ground station ends and says so.
+ground station ends and says so. One that reports to stand on the ground and sends no heartbeats is named as well:
+whether it is disarmed is not known.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _SECOND_NS = 1_000_000_000
 _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
 _STILL_ARMED_NS = 5 * _SECOND_NS  # autopilots disarm by themselves two seconds after landing
 _BLOCKED_MAX_NS = 20 * _SECOND_NS
-_LOST_NS = 10 * _SECOND_NS
+_LOST_S = 10.0
 
 
 class Landing:
@@ -97,9 +98,17 @@ class Landing:
                 self._asked_ns[vehicle] = now_ns
 
     def lost(self, now_ns: int) -> BoolArray:
-        """Vehicles that have not been heard from for ten seconds, shape (n,)."""
-        lost: BoolArray = now_ns - self._fleet.heartbeat_ns > _LOST_NS
-        return lost
+        """Vehicles of which nothing has been heard for ten seconds, shape (n,)."""
+        return self._fleet.silent(now_ns, _LOST_S)
+
+    def unsure(self, now_ns: int) -> BoolArray:
+        """Vehicles that are heard, report to stand on the ground, and send no heartbeat any more, shape (n,).
+
+        Whether they are disarmed cannot be known; they are not waited for longer than this.
+        """
+        limit_s = self._plan.spec.limits.heartbeat_age_s
+        stood = (self._on_ground_since_ns != NEVER) & (now_ns - self._on_ground_since_ns >= 2 * _STILL_ARMED_NS)
+        return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~self.lost(now_ns))
 
     def still_up(self, since_ns: int, now_ns: int, released: BoolArray) -> BoolArray:
         """Vehicles that may still be armed, shape (n,).
@@ -107,10 +116,10 @@ class Landing:
         Args:
             since_ns: a heartbeat has to be newer than this to be believed.
             now_ns: time of the tick.
-            released: vehicles that are not waited for, shape (n,); those that are lost are not either.
+            released: vehicles that are not waited for, shape (n,); those that are lost or ``unsure`` are not either.
         """
-        unsure: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
-        return unsure & ~released & ~self.lost(now_ns)
+        perhaps: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
+        return perhaps & ~released & ~self.lost(now_ns) & ~self.unsure(now_ns)
 
     def _clear_below(self, vehicle: int, poses: Poses) -> bool:
         """Whether nobody else stands or hovers where this vehicle would come down."""

@@ -12,12 +12,11 @@ import numpy as np
 
 from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import LANDED_LANDING, NEVER, Fleet
+from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER, Fleet
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _FENCE_TOLERANCE_M = 0.3  # a gust may carry a vehicle that far beyond the fence before everybody comes back
-_DRIFTING_NS = _SECOND_NS
 _MODE_LOST_NS = 2_500_000_000  # two heartbeats, so that one from before our last request is not believed
 
 
@@ -51,7 +50,7 @@ class Sight:
     Attributes:
         pos_team_ned_m: where they are at this tick, shape (n, 3).
         pose_ns: when position or attitude was measured, whichever is older, shape (n,).
-        drift_m: how far local and global positions disagree, shape (n,), NaN where not known.
+        drift_m: how far local and global positions disagree, by two samples in a row, shape (n,), NaN where not known.
     """
 
     pos_team_ned_m: FloatArray
@@ -80,7 +79,6 @@ class Monitor:
         self._battery_low: BoolArray = np.zeros(n, dtype=np.bool_)
         self._outside: BoolArray = np.zeros(n, dtype=np.bool_)
         self._frame_lost: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._drift_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._twin: BoolArray = np.zeros(n, dtype=np.bool_)
         self._origins_ns = np.full(n, NEVER, dtype=np.int64)
         self._restarts = np.zeros(n, dtype=np.int64)
@@ -123,14 +121,18 @@ class Monitor:
                 abort=True,
             )
             findings.land.append(int(vehicle))
-        for vehicle in np.flatnonzero(
-            (now_ns - fleet.heartbeat_ns > limits.heartbeat_age_s * _SECOND_NS) & ~self._silent & ~self._gone
-        ):
+        silent = fleet.silent(now_ns, limits.heartbeat_age_s)
+        quiet = fleet.heartbeat_stale(now_ns, limits.heartbeat_age_s)
+        for vehicle in np.flatnonzero(quiet & ~self._silent & ~self._gone):
             self._silent[vehicle] = True
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: no heartbeat for {limits.heartbeat_age_s:g} s; everybody comes back",
-                abort=True,
-            )
+            if silent[vehicle]:
+                what = f"nothing heard for {limits.heartbeat_age_s:g} s"
+            else:
+                what = (
+                    f"no heartbeat for {HEARTBEAT_PATIENCE * limits.heartbeat_age_s:g} s, whether it is armed and"
+                    " follows is not known any more"
+                )
+            findings.alarm(f"vehicle {fleet.sysid[vehicle]}: {what}; everybody comes back", abort=True)
         for vehicle in np.flatnonzero((fleet.battery_remaining < limits.battery_min) & ~self._battery_low):
             self._battery_low[vehicle] = True
             findings.alarm(
@@ -155,11 +157,8 @@ class Monitor:
     ) -> None:
         """Positions that no longer mean what they meant: such a vehicle lands by itself, the others come back."""
         drifting = drift_m > self._plan.frame_drift_m  # NaN is not
-        self._drift_since_ns = np.where(
-            drifting, np.where(self._drift_since_ns == NEVER, now_ns, self._drift_since_ns), NEVER
-        )
         restarted, moved = fleet.restarts > self._restarts, fleet.origin_moved_ns > self._origins_ns
-        wrong = restarted | moved | (drifting & (now_ns - self._drift_since_ns >= _DRIFTING_NS))
+        wrong = restarted | moved | drifting
         for vehicle in np.flatnonzero(wrong & ~self._frame_lost & ~self._gone & ~landing).tolist():
             self._frame_lost[vehicle] = self.blind[vehicle] = True
             if restarted[vehicle]:

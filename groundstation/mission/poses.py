@@ -15,13 +15,16 @@ import pymap3d
 
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import Fleet
+from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.guidance import Poses
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _SAME_ORIGIN_M = 0.05
 _LOOK_NS = 200_000_000
+_COMPARE_AGAIN_NS = 400_000_000  # two comparisons sooner after each other are one
+_TOGETHER_NS = 300_000_000  # no further than this is a position brought by its velocity for a comparison
+_COMPARED_NS = 10 * _SECOND_NS  # after this a comparison says nothing of now
 
 
 class TeamFrame:
@@ -61,6 +64,8 @@ class TeamFrame:
         self._shift_ned_m: FloatArray = np.zeros((n, 3))
         self._derived_deg_m: FloatArray = np.full((n, 3), np.nan)
         self._nobody: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._compared_ns: IntArray = np.full((n, 2), NEVER, dtype=np.int64)
+        self._apart_m: FloatArray = np.full((n, 2), np.nan)
         self._next_look_ns = 0
         self.settled = False
 
@@ -155,17 +160,29 @@ class TeamFrame:
         return np.asarray(np.linalg.norm(gap, axis=1))
 
     def drift_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
-        """How far the local and the global position of a vehicle disagree, shape (n,); NaN where one is missing."""
-        drift = np.full(len(fleet), np.nan)
-        fresh = self._by_origin & (now_ns - fleet.place_ns < 3 * _SECOND_NS)
-        if self.anchor_deg_m is None or not fresh.any():
-            return drift
-        rows = np.flatnonzero(fresh)
-        local = self._reported(fleet, now_ns)[rows]
-        age_s = (now_ns - fleet.place_ns[rows]) / _SECOND_NS
-        elsewhere = self._from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s[:, None]
-        drift[rows] = np.linalg.norm(local - elsewhere, axis=1)
-        return drift
+        """How far the local and the global position of a vehicle disagree, shape (n,); NaN where not known.
+
+        Global positions come once a second or less often, so the two are compared at the instant at which the global
+        one was measured, never brought to the tick: after seconds a velocity says little. The smaller of the last two
+        comparisons counts, since one alone may be a moment at which the estimator was corrected.
+        """
+        self._compare(fleet)
+        old = now_ns - self._compared_ns > _COMPARED_NS
+        return np.asarray(np.where(old.any(axis=1), np.nan, self._apart_m.min(axis=1)))
+
+    def _compare(self, fleet: Fleet) -> None:
+        """Compares both positions of those whose global one is new; ``_apart_m[:, 0]`` is the newer comparison."""
+        news = self._by_origin & (fleet.place_ns - self._compared_ns[:, 0] >= _COMPARE_AGAIN_NS)
+        gap_ns = fleet.place_ns - fleet.pose_ns
+        news &= np.abs(gap_ns) <= _TOGETHER_NS
+        if self.anchor_deg_m is None or not news.any():
+            return
+        rows = np.flatnonzero(news)
+        local = self.origin_team_ned_m[rows] + fleet.pos_local_ned_m[rows]
+        local += fleet.vel_ned_m_s[rows] * (gap_ns[rows] / _SECOND_NS)[:, None]
+        apart = np.linalg.norm(local - self._from_anchor(fleet.place_deg_m[rows]), axis=1)
+        self._apart_m[rows] = np.stack([apart, self._apart_m[rows, 0]], axis=1)
+        self._compared_ns[rows] = np.stack([fleet.place_ns[rows], self._compared_ns[rows, 0]], axis=1)
 
     def _reported(self, fleet: Fleet, now_ns: int) -> FloatArray:
         """Positions as reported, brought to an instant, shape (n, 3)."""

@@ -14,15 +14,14 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.assignment import assign_roles
-from groundstation.core.control import Task, task_for_roles
 from groundstation.core.limits import Fence
-from groundstation.core.metrics import formation_error_m, min_distance_m, vertical_orientation
+from groundstation.core.metrics import min_distance_m
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
 from groundstation.mission.climb import Climb
+from groundstation.mission.formation_flight import FormationFlight
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.killing import Killing
 from groundstation.mission.landing import Landing, clear_spots
@@ -31,7 +30,6 @@ from groundstation.mission.operator import OperatorCommand, Order, parse_command
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
-from groundstation.mission.schema import FormStep, HoldStep
 from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
 from groundstation.mission.words import Words
 
@@ -44,7 +42,6 @@ _DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
 _DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while the team comes down
 _FAULTS_NOTED = 5
-_HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
@@ -65,7 +62,6 @@ class Runner:
         reason: why it was aborted or refused, "" otherwise.
         figures: see ``Figures``.
         fleet: state of the vehicles.
-        role_of_agent: role per vehicle, shape (n,).
     """
 
     def __init__(
@@ -78,7 +74,6 @@ class Runner:
         self.reason = ""
         self.figures = Figures()
         self.fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
-        self.role_of_agent: IntArray = np.arange(n)
         self.problems: list[str] = []
         self._station = Station(
             self.fleet,
@@ -99,15 +94,12 @@ class Runner:
         self._takeoff_ns = NEVER
         self._last_step_ns = NEVER
         self._steady_since_ns = NEVER
-        self._step_index = -1
-        self._task: Task | None = None
         self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
+        self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
         self._landing = Landing(plan, self.fleet, self._station.commands)
         self._killing = Killing(plan, self.fleet, self._station.commands)
         self._faults = 0
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
-        self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._words = Words()
         self._lines: list[str] = []
@@ -115,7 +107,6 @@ class Runner:
         self._resume_phase_ns = start_ns
         self._lands_here = False
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
-        self._gather_ned_m: FloatArray = self._pads_ned_m.copy()
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
         self._spread_m = _OF_MARGIN * plan.margin_m
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
@@ -143,6 +134,11 @@ class Runner:
     def done(self) -> bool:
         """Whether there is nothing left to do."""
         return self.phase is Phase.DONE
+
+    @property
+    def role_of_agent(self) -> IntArray:
+        """Role per vehicle, shape (n,)."""
+        return self._flight.role_of_agent
 
     @property
     def setpoints_sent(self) -> int:
@@ -281,21 +277,21 @@ class Runner:
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
-            self._assign(poses)
+            self._flight.assign(poses)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:
             self._give_up(self._arming.why_not(limits.arming_s, self._words.by_vehicle()), now_ns)
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
-        offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
+        offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
         height_m = (self._pads_ned_m - poses.pos_team_ned_m)[:, 2]
-        target_m = (self._pads_ned_m - self._gather_ned_m)[:, 2]
+        target_m = (self._pads_ned_m - self._flight.gather_ned_m)[:, 2]
         self._climb.step(now_ns, self.fleet, self._station.commands, height_m, target_m)
         near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
         if bool((near & ~self._climb.under_way).all()):
             if self._steady(now_ns):
-                self._next_step(now_ns, poses)
+                self._enter(self._flight.next_step(now_ns), now_ns)
         else:
             self._steady_since_ns = NEVER
             if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
@@ -306,62 +302,18 @@ class Runner:
                     for i in np.argsort(-offset)[:3].tolist()
                 )
                 self._give_up(f"takeoff not finished after {self.plan.spec.takeoff.timeout_s:g} s: {late}", now_ns)
-        return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
+        return self._guide.to_targets(poses, self._flight.gather_ned_m).vel_ned_m_s
 
     def _formation(self, now_ns: int, poses: Poses) -> FloatArray:
-        step = self.plan.spec.steps[self._step_index]
-        formation = self.plan.formation
-        error = formation_error_m(poses.pos_team_ned_m, formation.distances_m, self.role_of_agent)
-        if step.form is not None:
-            heights = formation.points_enu_m[:, 2]
-            upright = vertical_orientation(-poses.pos_team_ned_m[:, 2], heights, self.role_of_agent) >= 0.0
-            self._forming(step.form, error if upright else np.inf, now_ns, poses)
-        elif step.hold is not None:
-            self._holding(step.hold, error, now_ns, poses)
-        guidance = self._guide.formation(poses, self._given_task(), self.plan.control_gain)
-        self._count_gridlocks(guidance.blocked, now_ns)
-        return guidance.vel_ned_m_s
-
-    def _forming(self, step: FormStep, error_m: float, now_ns: int, poses: Poses) -> None:
-        if error_m <= step.tolerance_m:
-            if self._steady(now_ns):
-                if np.isnan(self.figures.time_to_form_s):
-                    self.figures.time_to_form_s = (self._steady_since_ns - self._phase_ns) / _SECOND_NS
-                self.figures.converged = all(
-                    later.form is None for later in self.plan.spec.steps[self._step_index + 1 :]
-                )
-                self._next_step(now_ns, poses)
-            return
-        self._steady_since_ns = NEVER
-        if now_ns - self._phase_ns >= step.timeout_s * _SECOND_NS:
-            self._give_up(
-                f"not formed after {step.timeout_s:g} s: a distance is {error_m:.3f} m off,"
-                f" tolerance is {step.tolerance_m:g} m",
-                now_ns,
-            )
-
-    def _holding(self, step: HoldStep, error_m: float, now_ns: int, poses: Poses) -> None:
-        self.figures.formation_error_m = float(np.fmax(self.figures.formation_error_m, error_m))
-        tolerance_m = next(
-            item.form.tolerance_m
-            for item in reversed(self.plan.spec.steps[: self._step_index])
-            if item.form is not None
-        )
-        if error_m <= _HOLD_TOLERANCE * tolerance_m:
-            self._steady_since_ns = NEVER
-        elif self._steady(now_ns):
-            self.figures.converged = False
-            self._give_up(
-                f"formation lost while holding: a distance is {error_m:.3f} m off, limit is"
-                f" {_HOLD_TOLERANCE:g} times the tolerance of {tolerance_m:g} m",
-                now_ns,
-            )
-            return
-        if now_ns - self._phase_ns >= step.seconds * _SECOND_NS:
-            self._next_step(now_ns, poses)
+        tick = self._flight.step(now_ns, poses)
+        if tick.give_up:
+            self._give_up(tick.give_up, now_ns)
+        elif tick.enter is not None:
+            self._enter(tick.enter, now_ns)
+        return tick.vel_ned_m_s
 
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
-        offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
+        offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
         away = (offset >= max(_PAD_TOLERANCE_M, self._spread_m)) & self.fleet.armed
         away &= ~(self._released | self._landing.here | self._monitor.blind | self._landing.lost(now_ns))
         if not away.any():
@@ -372,21 +324,21 @@ class Runner:
             if now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
-        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._gather_ned_m)
+        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
         setpoints = self._guide.to_targets(poses, targets)
-        self._count_gridlocks(setpoints.blocked, now_ns)
+        self._flight.count_gridlocks(setpoints.blocked, now_ns)
         return setpoints.vel_ned_m_s
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
         if self._takeoff_ns == NEVER:
             self._landing.disarm_on_the_ground(now_ns)
         else:
-            aside_m = np.linalg.norm((poses.pos_team_ned_m - self._gather_ned_m)[:, :2], axis=1)
+            aside_m = np.linalg.norm((poses.pos_team_ned_m - self._flight.gather_ned_m)[:, :2], axis=1)
             waits = self._lands_here & (aside_m >= max(_PAD_TOLERANCE_M, self._spread_m))
             waits &= now_ns - self._phase_ns < self.plan.spec.land.timeout_s * _SECOND_NS
             self._landing.want(np.flatnonzero(~waits).tolist(), now_ns)
         self._come_down(now_ns)
-        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._gather_ned_m)
+        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
         return self._guide.to_targets(poses, targets).vel_ned_m_s
 
     def _pause(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -421,6 +373,9 @@ class Runner:
         names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.lost(now_ns))]
         if names:
             self._abort(f"{', '.join(names)}: not heard from any more, whether it has landed is not known")
+        names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.unsure(now_ns))]
+        if names:
+            self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
             self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
@@ -471,6 +426,7 @@ class Runner:
         self._enter(self._resume_to, now_ns)
         if self._resume_phase_ns != NEVER:
             self._phase_ns = self._resume_phase_ns + held_ns
+            self._flight.stood_still(held_ns)
 
     def _land_now(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
         """Some, or all, come down where they are."""
@@ -497,8 +453,8 @@ class Runner:
         # They are called there when within the tolerance.
         tolerance_m = max(_PAD_TOLERANCE_M, self._spread_m)
         clearance_m = self.plan.spec.avoidance.activation_m + self.plan.margin_m + tolerance_m
-        self._gather_ned_m = clear_spots(rest, ours, clearance_m, fence.min_team_ned_m, fence.max_team_ned_m)
-        aside_m = np.linalg.norm((self._gather_ned_m - rest)[:, :2], axis=1)
+        self._flight.gather_ned_m = clear_spots(rest, ours, clearance_m, fence.min_team_ned_m, fence.max_team_ned_m)
+        aside_m = np.linalg.norm((self._flight.gather_ned_m - rest)[:, :2], axis=1)
         for vehicle in np.flatnonzero(aside_m > 0.0).tolist():
             name = f"vehicle {self.fleet.sysid[vehicle]}"
             self._note("info", f"{name}: moves {aside_m[vehicle]:.2f} m aside before it lands; somebody is below")
@@ -525,45 +481,6 @@ class Runner:
         return poses.pos_team_ned_m + stopping_s * poses.vel_ned_m_s
 
     # What the phases share
-
-    def _next_step(self, now_ns: int, poses: Poses) -> None:
-        self._step_index += 1
-        if self._step_index >= len(self.plan.spec.steps):
-            self._enter(Phase.RETURN, now_ns)
-            return
-        step = self.plan.spec.steps[self._step_index]
-        if step.form is not None:
-            self._enter(Phase.FORM, now_ns)
-        else:
-            self._enter(Phase.HOLD, now_ns)
-
-    def _assign(self, poses: Poses) -> None:
-        """Gives every vehicle its role, and its place in the air above its pad."""
-        plan = self.plan
-        if plan.spec.assignment == "auto":
-            assignment = assign_roles(frames.enu_from_ned(poses.pos_team_ned_m), plan.formation)
-            roles = assignment.role_of_agent
-        else:
-            roles = np.arange(plan.size)
-        self.role_of_agent = roles
-        self._task = task_for_roles(plan.formation, plan.gains, roles)
-        self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))
-        # Where a mission does without the upright term, whoever ends higher can start a little higher: from one
-        # common height the law alone leaves to chance whether the formation stands upright or on its head.
-        height = self._height_of_agent()
-        spread = float(np.ptp(height))
-        share = (height - height.mean()) / spread if spread > 1e-9 else np.zeros(plan.size)
-        self._gather_ned_m = self._pads_ned_m.copy()
-        self._gather_ned_m[:, 2] -= plan.spec.takeoff.height_m + plan.spec.takeoff.stagger_m * share
-
-    def _given_task(self) -> Task:
-        if self._task is None:
-            raise RuntimeError("formation flight without roles")
-        return self._task
-
-    def _height_of_agent(self) -> FloatArray:
-        heights: FloatArray = self.plan.formation.points_enu_m[self.role_of_agent, 2]
-        return heights
 
     def _watch(self, poses: Poses, now_ns: int) -> None:
         """Acts on what the monitors find in the air."""
@@ -656,13 +573,3 @@ class Runner:
     def _measure(self, poses: Poses) -> None:
         distance = min_distance_m(poses.pos_team_ned_m, self.airborne)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
-
-    def _count_gridlocks(self, blocked: BoolArray, now_ns: int) -> None:
-        """Counts each time that an agent has stood without a free direction for more than a second."""
-        self._blocked_since_ns = np.where(
-            blocked, np.where(self._blocked_since_ns == NEVER, now_ns, self._blocked_since_ns), NEVER
-        )
-        self._blocked_counted &= blocked
-        stuck = blocked & (now_ns - self._blocked_since_ns >= _SECOND_NS) & ~self._blocked_counted
-        self.figures.gridlocks += int(stuck.sum())
-        self._blocked_counted |= stuck

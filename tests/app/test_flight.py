@@ -289,18 +289,43 @@ def test_a_fault_in_our_own_mathematics_never_leaves_a_vehicle_without_a_setpoin
     assert (sent[: landing - first - 300] == 8).all()
 
 
-def test_a_heartbeat_that_stops_brings_everybody_back() -> None:
+def test_a_heartbeat_that_stops_while_telemetry_goes_on_brings_everybody_back_in_time() -> None:
+    """Mode and arming are not known then; positions are, so that the vehicle is brought back like the others."""
+    stopped, back = [], []
+
     def mute(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
         if datagram.vehicle_index == 6 and Phase.FORM in flight.phase_seen:
+            stopped.append(datagram.t_ns)
             return _without(datagram, HEARTBEAT)
         return [datagram]
 
-    flight = Flight(cube8(), tamper=mute)
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.RETURN:
+            back.append(flight.now_ns)
+        return False
+
+    flight = Flight(cube8("steps.1.hold.seconds=60"), tamper=mute, interrupt_when=look)
     assert flight.runner.reason == (
-        "vehicle 7: no heartbeat for 4 s; everybody comes back; vehicle 7: not heard from any more,"
-        " whether it has landed is not known"
+        "vehicle 7: no heartbeat for 12 s, whether it is armed and follows is not known any more; everybody comes back;"
+        " vehicle 7: stands on the ground and sends no heartbeat, it may still be armed"
     )
+    assert 10.9 * SECOND_NS < back[0] - stopped[0] < 12.1 * SECOND_NS
+    assert flight.now_ns < back[0] + 40 * SECOND_NS
     assert _all_down(flight)
+
+
+def test_heartbeats_that_are_missing_for_eight_seconds_while_telemetry_goes_on_disturb_nobody() -> None:
+    began: list[int] = []
+
+    def gap(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index == 6 and Phase.HOLD in flight.phase_seen:
+            began.append(datagram.t_ns)
+            if datagram.t_ns < began[0] + 8 * SECOND_NS:
+                return _without(datagram, HEARTBEAT)
+        return [datagram]
+
+    flight = Flight(cube8("steps.1.hold.seconds=12"), tamper=gap)
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
 
 
 def test_a_pilot_who_takes_over_is_not_fought() -> None:

@@ -49,6 +49,16 @@ def test_agents_beyond_the_activation_distance_are_not_avoided() -> None:
     assert not result.in_the_way.any()
 
 
+def test_an_obstacle_has_a_larger_sphere_and_is_avoided_from_farther() -> None:
+    plain, wanted = views_of([1.2, 0, 0], [0, 1.2, 0]), np.array([[0.3, 0, 0]])
+    obstacle = dataclasses.replace(plain, extra_m=np.array([[0.15, 0.0]]))
+    sphere = SafetySphere(0.45, 1.1)
+    assert not avoid(plain, wanted, sphere).in_the_way.any()  # beyond 1.1 m
+    result = avoid(obstacle, wanted, sphere)
+    assert result.in_the_way.tolist() == [[True, False]]
+    assert result.angle_rad[0] == pytest.approx(np.arcsin(0.6 / 1.2), abs=1e-8)
+
+
 def test_one_sphere_ahead_by_hand() -> None:
     """Straight at the centre at twice the radius: 30 degrees to the right, keeping the speed."""
     result = avoid(views_of([0.9, 0, 0]), np.array([[0.3, 0, 0]]), SafetySphere(0.45, 1.0))
