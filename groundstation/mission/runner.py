@@ -106,6 +106,7 @@ class Runner:
         self._resume_to = Phase.CONNECT
         self._resume_phase_ns = start_ns
         self._lands_here = False
+        self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
         self._spread_m = _OF_MARGIN * plan.margin_m
@@ -187,10 +188,7 @@ class Runner:
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
-            self._watch(poses, now_ns)
-            # Whoever does not follow us, or cannot be seen, may come down at any moment: nobody stays underneath.
-            sinking = (self._monitor.blind | self._monitor.foreign | self._landing.here) & self.fleet.armed
-            poses = replace(poses, sinking=sinking | self._killing.falling(now_ns))
+            poses = self._watch(poses, now_ns)
             self._measure(poses)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
@@ -205,7 +203,7 @@ class Runner:
         streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
-        velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
+        velocity = self._sent_ned_m_s = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -482,11 +480,24 @@ class Runner:
 
     # What the phases share
 
-    def _watch(self, poses: Poses, now_ns: int) -> None:
-        """Acts on what the monitors find in the air."""
-        pose_ns, drift_m = self._frame.pose_ns(self.fleet), self._frame.drift_m(self.fleet, now_ns)
-        sight = Sight(poses.pos_team_ned_m, pose_ns, drift_m)
-        findings = self._monitor.look(self.fleet, sight, now_ns, self._landing.asked | self._killing.asked)
+    def _watch(self, poses: Poses, now_ns: int) -> Poses:
+        """Acts on what the monitors find in the air; returns the poses to steer by, with obstacles marked."""
+        fleet, pose_ns = self.fleet, self._frame.pose_ns(self.fleet)
+        poses = self._monitor.trusted(poses, pose_ns, now_ns)
+        excused = self._landing.asked | self._killing.asked
+        sight = Sight(
+            fleet=fleet,
+            now_ns=now_ns,
+            pos_team_ned_m=poses.pos_team_ned_m,
+            vel_ned_m_s=poses.vel_ned_m_s,
+            pose_ns=pose_ns,
+            drift_m=self._frame.drift_m(fleet, now_ns),
+            sent_ned_m_s=self._sent_ned_m_s,
+            steered=~(self._released | self._climb.under_way | self._monitor.hold | self._landing.here),
+            excused=excused,
+            airborne=self.airborne,
+        )
+        findings = self._monitor.look(sight)
         for text in findings.alarms:
             self._note("alarm", text)
         for vehicle in findings.release:
@@ -495,9 +506,16 @@ class Runner:
         if findings.land:
             self._stay_ned_m[findings.land] = poses.pos_team_ned_m[findings.land]
             self._landing.want_here(findings.land, now_ns)
-        self._landing.step(now_ns, poses, self._released)
         if findings.abort:
-            self._give_up(findings.abort, now_ns)
+            self._give_up(findings.abort, now_ns, urgent=findings.urgent)
+        if findings.silence:
+            self._abort(findings.silence)
+            self._enter(Phase.SILENT, now_ns)
+        poses = self._monitor.obstacles(poses, fleet, pose_ns, self._landing.asked, now_ns)
+        self._landing.step(now_ns, poses, self._released)
+        # Nobody stays under a vehicle that comes down.
+        sinking = poses.sinking | (self._landing.here & fleet.armed) | self._killing.falling(now_ns)
+        return replace(poses, sinking=sinking)
 
     def _give_up(self, reason: str, now_ns: int, *, stop: bool = False, urgent: bool = False) -> None:
         """Ends the mission early: on the ground at once, in the air by way of the pads.
