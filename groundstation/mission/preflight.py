@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mavlink.station import Station
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
+from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
+from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 
@@ -24,6 +24,8 @@ _TRIES = 3
 _ASK_AGAIN_NS = 5 * _SECOND_NS
 _ORIGIN_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_TRIES = 5
+_UNANSWERED = 2  # commands in a row, each sent four times: on a lossy link this is no chance
+_PROBE_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_ASKS = 5  # unanswered, then the origin is taken from the two positions
 _SYNC_SAMPLES = 3
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
@@ -76,6 +78,7 @@ class Preflight:
         self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_set: FloatArray = np.zeros(plan.size)
         self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_asks = np.zeros(plan.size, dtype=np.int64)
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
@@ -117,7 +120,8 @@ class Preflight:
             self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
             self._ask_for_origin(vehicle, now_ns)
             problem = (
-                self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
+                self._deaf(vehicle, now_ns)
+                or self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
                 or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), state)
@@ -215,26 +219,51 @@ class Preflight:
             return f"heard there instead: system {', '.join(map(str, strangers[:8]))}; correct its id or link"
         return "switch it on, or correct its id or link"
 
+    def _deaf(self, vehicle: int, now_ns: int) -> str | None:
+        """Words for a vehicle that talks and answers no command: whatever else it lacks follows from that."""
+        commands = self._station.commands
+        if commands.unanswered[vehicle] < _UNANSWERED:
+            return None
+        if not commands.pending(vehicle) and now_ns - self._probed_ns[vehicle] >= _PROBE_AGAIN_NS:
+            # Any answer will do, a refusal too; otherwise one that hears again might never be asked again.
+            self._probed_ns[vehicle] = now_ns
+            commands.request(vehicle, self._plan.autopilots[vehicle].once("AUTOPILOT_VERSION"))
+        since = "any more" if commands.answered[vehicle] else f"({commands.unanswered[vehicle]} so far)"
+        return (
+            f"is heard, and answers no command {since}; see that its link carries both ways, that it takes commands"
+            f" from system {GROUND_STATION_SYSID}, and restart it"
+        )
+
     def _heard(self, vehicle: int, now_ns: int, pose_ns: int) -> str | None:
         fleet, limits, rates = self._station.fleet, self._plan.spec.limits, self._rates[vehicle]
-        heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
-        if heartbeat_s > limits.heartbeat_age_s:
-            return f"last heartbeat {heartbeat_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s"
+        if fleet.silent(now_ns, limits.heartbeat_age_s)[vehicle]:
+            heard_s = _age_s(now_ns, int(fleet.heard_ns[vehicle]))
+            return f"last heard {heard_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s; see to its link"
+        if fleet.heartbeat_stale(now_ns, limits.heartbeat_age_s)[vehicle]:
+            heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
+            limit_s = HEARTBEAT_PATIENCE * limits.heartbeat_age_s
+            return f"last heartbeat {heartbeat_s:.1f} s ago, limit {limit_s:g} s; restart it, or see to its link"
         pose_s = _age_s(now_ns, pose_ns)
         if pose_s > limits.pose_age_s:
             age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
             return (
-                f"position and attitude: {age}, limit {limits.pose_age_s:g} s; check its estimator and the message"
-                " rates"
+                f"position and attitude: {age}, limit {limits.pose_age_s:g} s{self._said_yes(vehicle)}; check its"
+                " estimator and the message rates"
             )
         if not rates.good:
             if np.isnan(rates.hz).any():
                 return "message rates asked for, not counted yet"
             return (
                 f"sends {rates.hz[0]:.0f} positions and {rates.hz[1]:.0f} attitudes per second,"
-                f" {self._plan.rates_of(vehicle).pose_hz:.0f} were asked for; is the link too slow, or lossy?"
+                f" {self._plan.rates_of(vehicle).pose_hz:.0f} were asked for{self._said_yes(vehicle)}; is the link too"
+                " slow, or lossy?"
             )
         return None
+
+    def _said_yes(self, vehicle: int) -> str:
+        """Words for one that acknowledges what it is asked for; what it does is seen elsewhere."""
+        yes = self._rates[vehicle].tries > 1 and self._station.commands.answered[vehicle]
+        return " and acknowledged" if yes else ""
 
     def _readiness(self, vehicle: int, now_ns: int, said: Mapping[int, str]) -> str | None:
         fleet = self._station.fleet
