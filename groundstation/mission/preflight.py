@@ -30,9 +30,6 @@ _ORIGIN_ASKS = 5  # unanswered, then the origin is taken from the two positions
 _SYNC_SAMPLES = 3
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
 _ROUND_TRIP_SPARE_S = 0.15
-_STATUS_HZ = {"EXTENDED_SYS_STATE": 10.0, "SYS_STATUS": 2.0}
-_STATUS_NARROW_HZ = {"EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 1.0}
-_CROSS_CHECK_HZ = 1.0
 
 
 @dataclass
@@ -144,10 +141,10 @@ class Preflight:
         """Streams that a vehicle is asked for."""
         plan = self._plan
         rates = plan.rates_of(vehicle)
-        wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.pose_hz}
-        wanted |= _STATUS_NARROW_HZ if rates.limited else _STATUS_HZ
+        wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.attitude_hz}
+        wanted |= rates.status_hz()
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
-            wanted["GLOBAL_POSITION_INT"] = _CROSS_CHECK_HZ
+            wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
         return wanted
 
     def _ask_for_streams(self, vehicle: int, now_ns: int, pose_ns: int) -> None:
@@ -165,16 +162,20 @@ class Preflight:
         if rates.window_ns == NEVER:
             rates.window_ns, rates.at_start = now_ns, counted
             return
-        asked_hz = self._plan.rates_of(vehicle).pose_hz
+        planned = self._plan.rates_of(vehicle)
+        asked_hz = (planned.pose_hz, planned.attitude_hz)
         passed_ns = now_ns - rates.window_ns
-        if passed_ns < max(1.0, 8.0 / asked_hz) * _SECOND_NS:
+        if passed_ns < max(1.0, 8.0 / min(asked_hz)) * _SECOND_NS:
             return
         rates.hz = (
             (counted[0] - rates.at_start[0]) * _SECOND_NS / passed_ns,
             (counted[1] - rates.at_start[1]) * _SECOND_NS / passed_ns,
         )
-        rates.good = min(rates.hz) >= _ENOUGH * asked_hz or (
-            rates.tries >= _TRIES and min(rates.hz) >= max(_RATE_MIN_HZ, 0.2 * asked_hz)
+        as_asked = all(hz >= _ENOUGH * asked for hz, asked in zip(rates.hz, asked_hz, strict=True))
+        rates.good = as_asked or (
+            rates.tries >= _TRIES
+            and not planned.lean
+            and all(hz >= max(_RATE_MIN_HZ, 0.2 * asked) for hz, asked in zip(rates.hz, asked_hz, strict=True))
         )
         rates.window_ns, rates.at_start = now_ns, counted
         if not rates.good and now_ns - rates.asked_ns >= _SECOND_NS:
@@ -199,11 +200,11 @@ class Preflight:
 
     def _tell_slow(self, vehicle: int, state: GroundState) -> None:
         rates = self._rates[vehicle]
-        asked_hz = self._plan.rates_of(vehicle).pose_hz
-        if rates.good and min(rates.hz) < _ENOUGH * asked_hz:
+        planned = self._plan.rates_of(vehicle)
+        if rates.good and not planned.lean and min(rates.hz) < _ENOUGH * planned.pose_hz:
             state.notes.append(
                 f"vehicle {self._plan.spec.vehicles[vehicle].id}: sends {rates.hz[0]:.0f} positions and"
-                f" {rates.hz[1]:.0f} attitudes per second, {asked_hz:.0f} were asked for; flying with that"
+                f" {rates.hz[1]:.0f} attitudes per second, {planned.pose_hz:.0f} were asked for; flying with that"
             )
 
     # What is not well yet: each returns a problem in words, or None
@@ -253,10 +254,11 @@ class Preflight:
         if not rates.good:
             if np.isnan(rates.hz).any():
                 return "message rates asked for, not counted yet"
+            planned = self._plan.rates_of(vehicle)
             return (
                 f"sends {rates.hz[0]:.0f} positions and {rates.hz[1]:.0f} attitudes per second,"
-                f" {self._plan.rates_of(vehicle).pose_hz:.0f} were asked for{self._said_yes(vehicle)}; is the link too"
-                " slow, or lossy?"
+                f" {planned.pose_hz:.0f} and {planned.attitude_hz:.0f} were asked for{self._said_yes(vehicle)}; is the"
+                " link too slow, or lossy?"
             )
         return None
 
