@@ -141,7 +141,8 @@ class Monitor:
                 abort=True,
             )
         outside_m = self._fence.outside_m(sight.pos_team_ned_m)
-        for vehicle in np.flatnonzero((outside_m > _FENCE_TOLERANCE_M) & ~self._outside & ~landing & ~self._gone):
+        known = ~landing & ~self._gone & ~self.blind
+        for vehicle in np.flatnonzero((outside_m > _FENCE_TOLERANCE_M) & ~self._outside & known):
             self._outside[vehicle] = True
             findings.alarm(
                 f"vehicle {fleet.sysid[vehicle]}: {outside_m[vehicle]:.2f} m outside the fence, limit"

@@ -371,17 +371,22 @@ class Runner:
         self._landing.want(findings.land, now_ns)
         self._landing.step(now_ns, poses, self._released)
         if findings.abort:
-            self._give_up(findings.abort, now_ns)
+            # One reason for each vehicle, the first: what is found of it later follows from that, and only alarms.
+            subject = findings.abort.partition(":")[0]
+            follows = any(part.startswith(f"{subject}:") for part in self.reason.split("; "))
+            self._give_up(findings.abort, now_ns, follows=follows)
 
-    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False) -> None:
+    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False, follows: bool = False) -> None:
         """Ends the mission early: on the ground at once, in the air by way of the pads.
 
         Args:
             reason: for the report.
             now_ns: time of the tick.
             stop: stand still for a moment first; not when somebody may have to get out of another one's way.
+            follows: the reason only follows from one that was given before.
         """
-        self._abort(reason)
+        if not follows:
+            self._abort(reason)
         if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
         if self.phase is Phase.CONNECT:
@@ -439,5 +444,5 @@ class Runner:
             self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
-        distance = min_distance_m(poses.pos_team_ned_m, self.airborne)
+        distance = min_distance_m(poses.pos_team_ned_m, self.airborne & ~self._monitor.blind)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
