@@ -132,7 +132,7 @@ class _Search:
         least_z = float(np.sort(self._pos[:, 2]) @ np.sort(self._points[:, 2])[::-1])
 
         def bound(low: float, high: float, gain: float) -> float:
-            return gain + (1.0 / np.cos(0.5 * (high - low)) - 1.0) * min(max(gain - least_z, 0.0), swing)
+            return float(gain + (1.0 / np.cos(0.5 * (high - low)) - 1.0) * min(max(gain - least_z, 0.0), swing))
 
         heap = [
             (-bound(low, high, max(a, b)), low, high, a, b)
