@@ -58,7 +58,7 @@ class VehicleConfig:
         pad_enu_m: where it stands, in the world's frame.
         yaw_enu_rad: heading from east counter-clockwise.
         noise: errors of its estimate.
-        streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links) or "ardupilot".
+        streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links), "ardupilot" or "quiet".
         mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
         gps: whether it has a GPS receiver.
     """
@@ -96,6 +96,8 @@ class WorldConfig:
         unix_start_us: date at power-up.
         real_boot: start-up takes as long as the real one.
         wind, downwash: options of the air.
+        floor_m: height of the ground beside the pads, which stand on posts then; None: it is everywhere as high as
+            each vehicle's pad.
         faults: what goes wrong when; more can be injected at run time.
     """
 
@@ -111,6 +113,7 @@ class WorldConfig:
     real_boot: bool = False
     wind: WindConfig | None = None
     downwash: bool = False
+    floor_m: float | None = None
     faults: tuple[Fault, ...] = ()
 
 
@@ -185,6 +188,7 @@ class World:
             step_s=step_s,
             wind=self._wind(rng_wind, step_s),
             downwash=self._downwash(),
+            floor_m=config.floor_m,
         )
         self.geodesy = Geodesy(config.home_lat_deg, config.home_lon_deg, config.home_alt_m)
         self.streams = Streams(tuple(MAKERS), n, config.start_ns)
@@ -216,7 +220,7 @@ class World:
         self._faults = FaultDesk(self, config.faults)
         self._pairs = np.triu_indices(n, 1)
         self._history: list[tuple[Array, NDArray[np.bool_]]] = []
-        self._min_distance_m = math.inf
+        self._nearest_squared = np.full(len(self._pairs[0]), math.inf)
 
     # -- interface ----------------------------------------------------------------------------------------------
 
@@ -269,12 +273,19 @@ class World:
     def min_distance_airborne_m(self) -> float:
         """Smallest distance of two vehicles that were both off the ground; infinite before there were two."""
         self._measure_distances()
-        return self._min_distance_m
+        return math.sqrt(float(self._nearest_squared.min(initial=math.inf)))
+
+    def min_distance_airborne_of_pairs_m(self) -> Array:
+        """The same for each pair, symmetric, infinite on the diagonal, shape (n, n)."""
+        self._measure_distances()
+        distances = np.full((self.n, self.n), math.inf)
+        distances[self._pairs] = distances.T[self._pairs] = np.sqrt(self._nearest_squared)
+        return distances
 
     def reset_min_distance(self) -> None:
-        """Forgets the smallest distance."""
+        """Forgets the smallest distances."""
         self._history.clear()
-        self._min_distance_m = math.inf
+        self._nearest_squared[:] = math.inf
 
     def inject(self, *faults: Fault) -> None:
         """Lets something go wrong now, for as long as the faults say; their ``at_s`` does not count.
@@ -432,8 +443,8 @@ class World:
         both = air[:, first] & air[:, second]
         if both.any():
             delta = pos[:, :, first] - pos[:, :, second]
-            squared = (delta * delta).sum(axis=1)
-            self._min_distance_m = min(self._min_distance_m, math.sqrt(float(squared[both].min())))
+            squared = np.where(both, (delta * delta).sum(axis=1), math.inf)
+            np.minimum(self._nearest_squared, squared.min(axis=0), out=self._nearest_squared)
 
     # -- making of ----------------------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),
     "report": ("report", "Draw the pictures of a log."),
     "import": ("import_", "Turn another program's recorded flight into a log."),
+    "campaign": ("campaign", "Fly a mission many times over random starts and faults, and sum up."),
     "bench": ("bench", "Measure speed, as ratios in one run."),
 }
 """Command name: module in ``groundstation.app.commands``, help for the overview."""

@@ -14,6 +14,7 @@ import yaml
 
 from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
+from groundstation.mavlink.clocks import BootTimes
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
@@ -40,6 +41,7 @@ class Found:
         heard_ns: last heartbeat by address, so that two under one id show.
         place_deg_m: latitude, longitude, height; None before.
         version: of the firmware, "" before.
+        boot_times: order of the times since start-up by address and message; two vehicles behind one address alternate.
     """
 
     link: int
@@ -51,6 +53,7 @@ class Found:
     heard_ns: dict[str, int] = field(default_factory=dict)
     place_deg_m: tuple[float, float, float] | None = None
     version: str = ""
+    boot_times: dict[tuple[str, str], BootTimes] = field(default_factory=dict)
 
     @property
     def mode_name(self) -> str:
@@ -60,6 +63,15 @@ class Found:
     def addresses(self, now_ns: int) -> list[str]:
         """Where it was heard in the last seconds; more than one means two vehicles."""
         return sorted(peer for peer, t_ns in self.heard_ns.items() if now_ns - t_ns < _STALE_NS)
+
+    def take_boot_time(self, peer: str, message: str, boot_ms: int, now_ns: int) -> None:
+        """Takes a time since start-up."""
+        times = self.boot_times.setdefault((peer, message), BootTimes(1))
+        times.take(np.zeros(1, dtype=np.int64), np.array([boot_ms]), np.array([now_ns]))
+
+    def twins_at(self, now_ns: int) -> list[str]:
+        """Addresses behind which two vehicles speak under this one's id."""
+        return sorted({peer for (peer, _), times in self.boot_times.items() if times.two_at_once(0, now_ns)})
 
 
 class Discovery:
@@ -92,6 +104,8 @@ class Discovery:
         found = self.found.get((link, frame.sysid))
         for batch in decode([frame]):
             values = batch.values[0]
+            if found is not None and "time_boot_ms" in (batch.values.dtype.names or ()):
+                found.take_boot_time(peer, batch.name, int(values["time_boot_ms"]), now_ns)
             if batch.name == "HEARTBEAT" and values["type"] != _TYPE_GCS:
                 number = int(values["autopilot"])
                 kind = next((item for item in AUTOPILOTS.values() if item.mav_autopilot == number), None)
@@ -106,7 +120,10 @@ class Discovery:
                 found.version = f"{number >> 24}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF}"
 
     def outgoing(self, now_ns: int) -> list[Outgoing]:
-        """What is to be sent now: a heartbeat to everybody, and questions to those who did not say where they are."""
+        """What is to be sent now: a heartbeat to everybody, the question where they are, and that for their version.
+
+        The place is asked for again and again: if two answer under one id, their times tell.
+        """
         if now_ns < self._next_hello_ns:
             return []
         self._next_hello_ns = now_ns + _HELLO_NS
@@ -121,7 +138,7 @@ class Discovery:
         greeted |= {(found.link, peer) for found in self.found.values() for peer in found.heard_ns}
         sent = [Outgoing(link, peer, (hello,)) for link, peer in sorted(greeted)]
         for found in self.found.values():
-            for message, known in (("GLOBAL_POSITION_INT", found.place_deg_m), ("AUTOPILOT_VERSION", found.version)):
+            for message, known in (("GLOBAL_POSITION_INT", False), ("AUTOPILOT_VERSION", found.version)):
                 if found.autopilot is not None and not known:
                     command = found.autopilot.once(message)
                     params = {f"param{k}": value for k, value in enumerate(command.padded(), start=1)}
@@ -141,22 +158,34 @@ class Discovery:
 
     def doubles(self, now_ns: int) -> list[str]:
         """Words for system ids that more than one vehicle bears."""
-        lines = []
+        return [
+            f"system {sysid} is heard {where}; give each vehicle its own id (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV), or"
+            " open only one of its links"
+            for sysid, where in self._doubled(now_ns).items()
+        ]
+
+    def _doubled(self, now_ns: int) -> dict[int, str]:
+        """Where each system id that more than one vehicle bears is heard."""
         places: dict[int, list[str]] = {}
+        twins: dict[int, list[str]] = {}
         for found in self.vehicles():
             url = self._addresses[found.link].url
             places.setdefault(found.sysid, []).extend(f"{peer} on {url}" for peer in found.addresses(now_ns))
-        for sysid, where in places.items():
-            if len(where) > 1:
-                lines.append(
-                    f"system {sysid} is heard at {' and '.join(where)}; give each vehicle its own id, or open only one"
-                    " of its links"
-                )
-        return lines
+            twins.setdefault(found.sysid, []).extend(f"{peer} on {url}" for peer in found.twins_at(now_ns))
+        doubled = {
+            sysid: f"twice at {' and '.join(where)}: two times since start-up alternate"
+            for sysid, where in twins.items()
+            if where
+        }
+        return doubled | {sysid: f"at {' and '.join(where)}" for sysid, where in places.items() if len(where) > 1}
 
-    def block(self) -> str:
-        """The ``vehicles:`` block of a mission: pads from the places where the vehicles stand, the first at 0, 0."""
-        known = [found for found in self.vehicles() if found.autopilot is not None]
+    def block(self, now_ns: int) -> str:
+        """The ``vehicles:`` block of a mission: pads from the places where the vehicles stand, the first at 0, 0.
+
+        System ids that more than one vehicle bears are left out, with a comment that says so.
+        """
+        doubled = self._doubled(now_ns)
+        known = [found for found in self.vehicles() if found.autopilot is not None and found.sysid not in doubled]
         first = next((found.place_deg_m for found in known if found.place_deg_m is not None), None)
         entries = []
         for found in known:
@@ -176,4 +205,5 @@ class Discovery:
                 }
             )
         lines = [yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000) for entry in entries]
-        return "vehicles:\n" + "".join(f"  - {line}" for line in lines)
+        left_out = "".join(f"  # system {sysid} is left out: more than one vehicle bears it\n" for sysid in doubled)
+        return "vehicles:\n" + left_out + "".join(f"  - {line}" for line in lines)

@@ -9,6 +9,9 @@ would remain if both stopped now: what is already moving counts, not only what i
 are met together by the smallest change of its velocity (a projection onto a convex polyhedron, solved exactly).
 A negative h commands the pair apart. The argument, with its assumptions, stands in docs/avoidance.md.
 
+Around an upright region (`regions`) the same stands for its distance, with the gradient of that in place of n: any
+distance that is convex and grows no faster than an agent moves will do.
+
 An obstacle (``LocalViews.extra_m`` above zero) does its half of nothing: there r grows by that, and i does both halves,
 n_ij . u_i <= alpha h_ij + min(n_ij . w_j, 0), w_j the obstacle's velocity as measured.
 
@@ -23,6 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from groundstation.core import frames
+from groundstation.core.regions import SafetyRegion, SafetySphere, rot_level_from_flu
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews
 
@@ -51,6 +56,7 @@ class DamperParams:
         tick_s: period of the controller, > 0.
         speed_limit_m_s: largest commanded speed, > 0.
         accel_limit_m_s2: largest acceleration of the vehicle, > 0; infinite where unknown to matter.
+        region: what is kept out of instead of a ball of radius r; its radius is r. Activation does not matter here.
     """
 
     radius_m: float
@@ -60,6 +66,7 @@ class DamperParams:
     tick_s: float
     speed_limit_m_s: float
     accel_limit_m_s2: float = float("inf")
+    region: SafetyRegion | None = None
 
     def __post_init__(self) -> None:
         """Refuses values outside their ranges."""
@@ -69,6 +76,14 @@ class DamperParams:
         for name in ("margin_m", "lag_s", "delay_s"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"damper: {name} is {getattr(self, name)}, must not be negative")
+        if self.region is not None and self.region.radius_m != self.radius_m:
+            raise ValueError(f"damper: radius_m is {self.radius_m}, of the region {self.region.radius_m}")
+
+    @property
+    def keep_out(self) -> SafetyRegion:
+        """The region with the margin."""
+        region = self.region or SafetySphere(self.radius_m, self.radius_m)
+        return region.grown(self.margin_m)
 
     @property
     def horizon_s(self) -> float:
@@ -200,22 +215,19 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
 
     Args:
         views: what m agents see.
-        params: the vehicles and the radius.
+        params: the vehicles and the region.
 
     Returns:
-        Unit vectors towards the others, shape (m, n, 3), and bounds, shape (m, n), m/s: infinite (and the vector
-        zero) where there is nobody, or nobody in any direction: coincident agents have no line between them.
+        Vectors towards the others, shape (m, n, 3), and bounds, shape (m, n), m/s: infinite (and the vector zero) where
+        there is nobody, or nobody in any direction: coincident agents have no line between them. The vectors are
+        gradients of the region's distance: unit vectors for a sphere, never longer.
     """
-    rel = views.rel_pos_flu_m
-    x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
-    distance = np.sqrt(x * x + y * y + z * z)
-    seen = views.visible & (distance > 1e-9)
-    distance = np.where(seen, distance, 1.0)
-    normals = np.where(seen[..., None], rel, 0.0) / distance[..., None]
+    distance, normals = _distance_left(views, params)
+    seen = np.isfinite(distance)
     rel_vel = views.rel_vel_flu_m_s
     rate = normals[..., 0] * rel_vel[..., 0] + normals[..., 1] * rel_vel[..., 1] + normals[..., 2] * rel_vel[..., 2]
     parting = np.where(np.isfinite(rate), np.minimum(rate, 0.0), -params.speed_limit_m_s)
-    left = distance - (params.radius_m + params.margin_m + views.extra_m) + params.horizon_s * parting
+    left = distance + params.horizon_s * parting
     bounds = 0.5 * params.rate_1_s * left
     unsteered = seen & (views.extra_m > 0.0)
     if unsteered.any():
@@ -228,6 +240,25 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
     return normals, np.where(seen, bounds, np.inf)
 
 
+def _distance_left(views: LocalViews, params: DamperParams) -> tuple[FloatArray, FloatArray]:
+    """Distances (m, n) to the region with its margin, infinite where there is none, and their gradients (m, n, 3)."""
+    rel = views.rel_pos_flu_m
+    if params.region is None or isinstance(params.region, SafetySphere):
+        x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        seen = views.visible & (length > 1e-9)
+        length = np.where(seen, length, 1.0)
+        normals = np.where(seen[..., None], rel, 0.0) / length[..., None]
+        left = length - (params.radius_m + params.margin_m + views.extra_m)
+        return np.where(seen, left, np.inf), normals
+    level = rot_level_from_flu(views.up_flu)[:, None]
+    offset = np.where(views.visible[..., None], frames.rotate(level, rel), 0.0)
+    left, gradient = params.keep_out.distance(offset, views.extra_m)
+    seen = views.visible & (np.abs(gradient).max(axis=-1) > 0.0)
+    normals = np.where(seen[..., None], frames.rotate_back(level, gradient), 0.0)
+    return np.where(seen, left, np.inf), normals
+
+
 def project(vel: FloatArray, normals: FloatArray, bounds: FloatArray) -> tuple[FloatArray, bool]:
     """Finds the nearest velocity within bounds: min |u - vel| subject to normals u <= bounds.
 
@@ -236,7 +267,7 @@ def project(vel: FloatArray, normals: FloatArray, bounds: FloatArray) -> tuple[F
 
     Args:
         vel: shape (3,).
-        normals: unit vectors, shape (k, 3).
+        normals: shape (k, 3).
         bounds: shape (k,).
 
     Returns:

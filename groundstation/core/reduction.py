@@ -52,6 +52,8 @@ def _schur(full: ComplexArray, gone: BoolArray) -> ComplexArray:
     left = ~gone
     inner = full[np.ix_(gone, gone)]
     if np.linalg.cond(inner) > _CONDITION_MAX:
-        raise ValueError(f"gains of roles {(np.flatnonzero(gone) + 1).tolist()} cannot be taken out: they hang on nobody")
+        raise ValueError(
+            f"gains of roles {(np.flatnonzero(gone) + 1).tolist()} cannot be taken out: they hang on nobody"
+        )
     solved = np.linalg.solve(inner, full[np.ix_(gone, left)])
     return np.asarray(full[np.ix_(left, left)] - full[np.ix_(left, gone)] @ solved, dtype=np.complex128)

@@ -82,9 +82,16 @@ class _Lane:
 
 
 class CommandQueue:
-    """Commands under way to n vehicles."""
+    """Commands under way to n vehicles.
+
+    Attributes:
+        unanswered: commands to each vehicle that nobody answered since its last answer, whatever they asked for.
+        answered: whether a vehicle has ever answered one.
+    """
 
     def __init__(self, n: int) -> None:
+        self.unanswered = [0] * n
+        self.answered = [False] * n
         self._lanes = [_Lane() for _ in range(n)]
         self._outcomes: list[Outcome] = []
 
@@ -105,6 +112,7 @@ class CommandQueue:
     def acknowledge(self, ack: Ack) -> None:
         """Takes an acknowledgement; one that fits nothing under way is left alone."""
         lane = self._lanes[ack.vehicle]
+        self.unanswered[ack.vehicle], self.answered[ack.vehicle] = 0, True
         if not lane.waiting or lane.tries == 0 or lane.waiting[0].command != ack.command:
             return
         if ack.result == RESULT_IN_PROGRESS:
@@ -131,5 +139,6 @@ class CommandQueue:
 
     def _end(self, vehicle: int, result: int | None) -> None:
         lane = self._lanes[vehicle]
+        self.unanswered[vehicle] += result is None
         self._outcomes.append(Outcome(vehicle, lane.waiting.popleft(), result))
         lane.tries = 0

@@ -6,6 +6,7 @@ link whose capacity nobody stated.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from groundstation.core.errors import UserError
@@ -13,11 +14,25 @@ from groundstation.mavlink.codec import layout
 
 _OVERHEAD_BYTES = 12  # header and checksum of MAVLink 2
 _USABLE = 0.8  # of what the wire carries: bursts, repetitions and texts want room
-_POSE_MIN_HZ, _SETPOINT_MIN_HZ = 8.0, 5.0  # the authors needed 10 Hz indoors; PX4 wants more than 2 setpoints a second
-_SLOW_DOWN = {"HEARTBEAT": 1.0, "SYS_STATUS": 1.0, "EXTENDED_SYS_STATE": 2.0, "TIMESYNC": 1.0, "COMMAND_ACK": 0.5}
-_SLOW_UP = {"COMMAND_LONG": 0.5}
-_SHARED_UP = {"HEARTBEAT": 1.0, "TIMESYNC": 1.0}  # once for all behind a link
+_POSE_MIN_HZ, _SETPOINT_MIN_HZ = 8.0, 5.0
+"""The authors needed 10 Hz or more of positions; 8 Hz is what is left of that with a fifth lost. PX4 takes less than
+2 setpoints a second for none; of 5 Hz a fifth may be lost as well."""
+_POSE_ENOUGH_HZ = 10.0  # below this everything else is cut down first
+_ATTITUDE_LEAN_HZ = 2.0  # attitudes only say how the body axes lie in which the law is reckoned, and are turned back by
+_UP = {"COMMAND_LONG": 0.5}
+_SHARED_UP = {"HEARTBEAT": 1.0, "TIMESYNC": 0.5}  # once for all behind a link
+_BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
 _SIZES = {"ATTITUDE_QUATERNION": 32, "SYS_STATUS": 31}  # as sent: extensions that are zero are cut off
+_UNASKED = {"HEARTBEAT": 1.0, "TIMESYNC": 0.5, "COMMAND_ACK": 0.5}
+
+STATUS_HZ = {"EXTENDED_SYS_STATE": 10.0, "SYS_STATUS": 2.0}
+"""Rates of the slow messages where the link carries anything."""
+STATUS_NARROW_HZ = {"EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 1.0}
+"""The same on a link of known capacity."""
+STATUS_LEAN_HZ = {"EXTENDED_SYS_STATE": 1.0, "SYS_STATUS": 0.2}
+"""The same where positions want every byte."""
+CROSS_CHECK_HZ, CROSS_CHECK_LEAN_HZ = 1.0, 0.5
+"""Rate of the other position message, which the first is held against."""
 
 
 @dataclass(frozen=True)
@@ -25,20 +40,24 @@ class LinkRates:
     """Rates of one vehicle on a link, and what they come to for all of them.
 
     Attributes:
-        pose_hz: positions, and as many attitudes.
+        pose_hz: positions.
+        attitude_hz: attitudes; as many as positions, unless the link is lean.
         setpoint_hz: velocity setpoints.
         down_bytes_s: all that the vehicles send.
         up_bytes_s: all that we send.
         limit_bytes_s: what the link carries each way; infinite where not known.
         narrow: the limit is what sets the rates.
+        lean: attitudes and status are cut down so that positions fit.
     """
 
     pose_hz: float
+    attitude_hz: float
     setpoint_hz: float
     down_bytes_s: float
     up_bytes_s: float
     limit_bytes_s: float
     narrow: bool
+    lean: bool
 
     @property
     def limited(self) -> bool:
@@ -48,11 +67,23 @@ class LinkRates:
     def words(self, link: str, vehicles: int) -> str:
         """One line for people."""
         limit = f" of {self.limit_bytes_s / 1000:.1f}" if self.limit_bytes_s != float("inf") else ""
+        poses = f"positions and attitudes at {self.pose_hz:.3g} Hz"
+        if self.lean:
+            poses = f"positions at {self.pose_hz:.3g} Hz and attitudes at {self.attitude_hz:.3g} Hz"
         return (
-            f"{link}: {vehicles} {'vehicle' if vehicles == 1 else 'vehicles'}, positions and attitudes at"
-            f" {self.pose_hz:.3g} Hz ({self.down_bytes_s / 1000:.1f}{limit} kB/s), setpoints at"
+            f"{link}: {vehicles} {'vehicle' if vehicles == 1 else 'vehicles'}, {poses}"
+            f" ({self.down_bytes_s / 1000:.1f}{limit} kB/s), setpoints at"
             f" {self.setpoint_hz:.3g} Hz ({self.up_bytes_s / 1000:.1f}{limit} kB/s)"
         )
+
+    def status_hz(self) -> dict[str, float]:
+        """Rates of the slow messages."""
+        return dict(STATUS_LEAN_HZ if self.lean else STATUS_NARROW_HZ if self.limited else STATUS_HZ)
+
+    @property
+    def cross_check_hz(self) -> float:
+        """Rate of the other position message."""
+        return CROSS_CHECK_LEAN_HZ if self.lean else CROSS_CHECK_HZ
 
 
 def frame_bytes(message: str) -> int:
@@ -60,10 +91,23 @@ def frame_bytes(message: str) -> int:
     return _SIZES.get(message, layout(message).size) + _OVERHEAD_BYTES
 
 
+def _sum(rates: Mapping[str, float]) -> float:
+    return sum(frame_bytes(name) * rate for name, rate in rates.items())
+
+
 def fit_rates(
-    link: str, vehicles: int, limit_bytes_s: float, *, pose_hz: float, setpoint_hz: float, position: str
+    link: str,
+    vehicles: int,
+    limit_bytes_s: float,
+    *,
+    pose_hz: float,
+    setpoint_hz: float,
+    position: str,
+    cross_check: bool = False,
 ) -> LinkRates:
     """Fits the rates of a link's vehicles to what it carries.
+
+    Where less than 10 Hz of positions with as many attitudes would fit, attitudes and status are cut down first.
 
     Args:
         link: its address, for messages.
@@ -72,30 +116,58 @@ def fit_rates(
         pose_hz: wanted rate of positions.
         setpoint_hz: wanted rate of setpoints.
         position: message type that positions come in.
+        cross_check: the other position message is asked for as well.
 
     Raises:
         UserError: what fits is too slow to be flown with.
     """
-    usable = _USABLE * limit_bytes_s
-    pose_bytes = frame_bytes(position) + frame_bytes("ATTITUDE_QUATERNION")
-    slow_down = sum(frame_bytes(name) * rate for name, rate in _SLOW_DOWN.items())
-    slow_up = sum(frame_bytes(name) * rate for name, rate in _SLOW_UP.items())
-    shared_up = sum(frame_bytes(name) * rate for name, rate in _SHARED_UP.items())
-    setpoint_bytes = frame_bytes("SET_POSITION_TARGET_LOCAL_NED")
-    pose_fits = (usable / vehicles - slow_down) / pose_bytes
-    setpoint_fits = ((usable - shared_up) / vehicles - slow_up) / setpoint_bytes
-    pose, setpoint = min(pose_hz, pose_fits), min(setpoint_hz, setpoint_fits)
-    for name, rate, least in (("positions", pose, _POSE_MIN_HZ), ("setpoints", setpoint, _SETPOINT_MIN_HZ)):
+    rates = _fit(vehicles, limit_bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check)
+    for name, rate, least in (
+        ("positions", rates.pose_hz, _POSE_MIN_HZ),
+        ("setpoints", rates.setpoint_hz, _SETPOINT_MIN_HZ),
+    ):
         if rate < least:
+
+            def fits(count: int, bytes_s: float) -> bool:
+                fit = _fit(count, bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check)
+                return fit.pose_hz >= _POSE_MIN_HZ and fit.setpoint_hz >= _SETPOINT_MIN_HZ
+
+            able = max((count for count in range(1, vehicles) if fits(count, limit_bytes_s)), default=0)
+            carries = f"{able} would fit" if able else "not even one would fit"
+            baud = next((baud for baud in _BAUDS if fits(vehicles, baud / 10.0)), None)
+            faster = f" ({baud} baud do)" if baud is not None else ""
             raise UserError(
                 f"link {link}: {limit_bytes_s:.0f} bytes/s for {vehicles} vehicles leave {max(rate, 0.0):.1f} Hz for"
-                f" {name}, minimum is {least:g} Hz; use a faster link, or give each vehicle its own"
+                f" {name}, minimum is {least:g} Hz; {carries}: use a faster link{faster}, or put fewer on it"
             )
+    return rates
+
+
+def _fit(
+    vehicles: int, limit_bytes_s: float, pose_hz: float, setpoint_hz: float, position: str, *, cross_check: bool
+) -> LinkRates:
+    """What fits, however little."""
+    usable = _USABLE * limit_bytes_s
+    position_bytes, attitude_bytes = frame_bytes(position), frame_bytes("ATTITUDE_QUATERNION")
+    other = "LOCAL_POSITION_NED" if position == "GLOBAL_POSITION_INT" else "GLOBAL_POSITION_INT"
+    other_bytes = frame_bytes(other) if cross_check else 0
+    slow = _sum(_UNASKED) + _sum(STATUS_NARROW_HZ) + CROSS_CHECK_HZ * other_bytes
+    fits_hz = (usable / vehicles - slow) / (position_bytes + attitude_bytes)
+    lean = fits_hz < min(_POSE_ENOUGH_HZ, pose_hz)
+    pose = attitude = min(pose_hz, fits_hz)
+    if lean:
+        attitude = _ATTITUDE_LEAN_HZ
+        slow = _sum(_UNASKED) + _sum(STATUS_LEAN_HZ) + CROSS_CHECK_LEAN_HZ * other_bytes
+        pose = min(pose_hz, (usable / vehicles - slow - attitude * attitude_bytes) / position_bytes)
+    setpoint_bytes = frame_bytes("SET_POSITION_TARGET_LOCAL_NED")
+    setpoint = min(setpoint_hz, ((usable - _sum(_SHARED_UP)) / vehicles - _sum(_UP)) / setpoint_bytes)
     return LinkRates(
         pose_hz=pose,
+        attitude_hz=attitude,
         setpoint_hz=setpoint,
-        down_bytes_s=vehicles * (slow_down + pose * pose_bytes),
-        up_bytes_s=shared_up + vehicles * (slow_up + setpoint * setpoint_bytes),
+        down_bytes_s=vehicles * (slow + pose * position_bytes + attitude * attitude_bytes),
+        up_bytes_s=_sum(_SHARED_UP) + vehicles * (_sum(_UP) + setpoint * setpoint_bytes),
         limit_bytes_s=limit_bytes_s,
-        narrow=pose < pose_hz or setpoint < setpoint_hz,
+        narrow=lean or pose < pose_hz or setpoint < setpoint_hz,
+        lean=lean,
     )

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.avoidance import SafetySphere, avoid
+from groundstation.core.avoidance import avoid
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan

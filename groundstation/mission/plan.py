@@ -314,6 +314,7 @@ def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str)
                     pose_hz=wanted_hz,
                     setpoint_hz=spec.rate_hz,
                     position=position,
+                    cross_check=any(v.position == "local" and v.origin == "gps" for v in users),
                 )
             )
         except UserError as error:

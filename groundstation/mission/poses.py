@@ -22,6 +22,7 @@ from groundstation.mission.plan import MissionPlan
 _SECOND_NS = 1_000_000_000
 _SAME_ORIGIN_M = 0.05
 _LOOK_NS = 200_000_000
+_ATTITUDE_PERIODS = 4  # of a lean link's attitudes that may be missing
 _COMPARE_AGAIN_NS = 400_000_000  # two comparisons sooner after each other are one
 _TOGETHER_NS = 300_000_000  # no further than this is a position brought by its velocity for a comparison
 _COMPARED_NS = 10 * _SECOND_NS  # after this a comparison says nothing of now
@@ -67,6 +68,10 @@ class TeamFrame:
         self._compared_ns: IntArray = np.full((n, 2), NEVER, dtype=np.int64)
         self._apart_m: FloatArray = np.full((n, 2), np.nan)
         self._next_look_ns = 0
+        rates = [plan.rates_of(i) for i in range(n)]
+        self._attitude_late_ns: IntArray = np.array(
+            [round(_ATTITUDE_PERIODS / rate.attitude_hz * _SECOND_NS) if rate.lean else 0 for rate in rates]
+        )
         self.settled = False
 
     def look(self, fleet: Fleet, now_ns: int) -> None:
@@ -147,8 +152,12 @@ class TeamFrame:
         return Poses(self._reported(fleet, now_ns) + self._shift_ned_m, velocity, fleet.quat_ned_from_frd, self._nobody)
 
     def pose_ns(self, fleet: Fleet) -> IntArray:
-        """When each pose was measured: the older of position and attitude, shape (n,)."""
-        return np.minimum(np.where(self._global, fleet.place_ns, fleet.pose_ns), fleet.attitude_ns)
+        """When each pose was measured: the older of position and attitude, shape (n,).
+
+        Attitudes that are asked for less often than positions may be that much older.
+        """
+        attitude_ns = np.where(fleet.attitude_ns == NEVER, NEVER, fleet.attitude_ns + self._attitude_late_ns)
+        return np.minimum(np.where(self._global, fleet.place_ns, fleet.pose_ns), attitude_ns)
 
     def off_pad_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
         """How far from their pads the vehicles report to stand, shape (n,).

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mavlink.station import Station
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
+from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
+from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 
@@ -24,13 +24,12 @@ _TRIES = 3
 _ASK_AGAIN_NS = 5 * _SECOND_NS
 _ORIGIN_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_TRIES = 5
+_UNANSWERED = 2  # commands in a row, each sent four times: on a lossy link this is no chance
+_PROBE_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_ASKS = 5  # unanswered, then the origin is taken from the two positions
 _SYNC_SAMPLES = 3
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
 _ROUND_TRIP_SPARE_S = 0.15
-_STATUS_HZ = {"EXTENDED_SYS_STATE": 10.0, "SYS_STATUS": 2.0}
-_STATUS_NARROW_HZ = {"EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 1.0}
-_CROSS_CHECK_HZ = 1.0
 
 
 @dataclass
@@ -76,6 +75,7 @@ class Preflight:
         self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_set: FloatArray = np.zeros(plan.size)
         self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_asks = np.zeros(plan.size, dtype=np.int64)
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
@@ -117,7 +117,8 @@ class Preflight:
             self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
             self._ask_for_origin(vehicle, now_ns)
             problem = (
-                self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
+                self._deaf(vehicle, now_ns)
+                or self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
                 or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), state)
@@ -140,10 +141,10 @@ class Preflight:
         """Streams that a vehicle is asked for."""
         plan = self._plan
         rates = plan.rates_of(vehicle)
-        wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.pose_hz}
-        wanted |= _STATUS_NARROW_HZ if rates.limited else _STATUS_HZ
+        wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.attitude_hz}
+        wanted |= rates.status_hz()
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
-            wanted["GLOBAL_POSITION_INT"] = _CROSS_CHECK_HZ
+            wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
         return wanted
 
     def _ask_for_streams(self, vehicle: int, now_ns: int, pose_ns: int) -> None:
@@ -161,16 +162,20 @@ class Preflight:
         if rates.window_ns == NEVER:
             rates.window_ns, rates.at_start = now_ns, counted
             return
-        asked_hz = self._plan.rates_of(vehicle).pose_hz
+        planned = self._plan.rates_of(vehicle)
+        asked_hz = (planned.pose_hz, planned.attitude_hz)
         passed_ns = now_ns - rates.window_ns
-        if passed_ns < max(1.0, 8.0 / asked_hz) * _SECOND_NS:
+        if passed_ns < max(1.0, 8.0 / min(asked_hz)) * _SECOND_NS:
             return
         rates.hz = (
             (counted[0] - rates.at_start[0]) * _SECOND_NS / passed_ns,
             (counted[1] - rates.at_start[1]) * _SECOND_NS / passed_ns,
         )
-        rates.good = min(rates.hz) >= _ENOUGH * asked_hz or (
-            rates.tries >= _TRIES and min(rates.hz) >= max(_RATE_MIN_HZ, 0.2 * asked_hz)
+        as_asked = all(hz >= _ENOUGH * asked for hz, asked in zip(rates.hz, asked_hz, strict=True))
+        rates.good = as_asked or (
+            rates.tries >= _TRIES
+            and not planned.lean
+            and all(hz >= max(_RATE_MIN_HZ, 0.2 * asked) for hz, asked in zip(rates.hz, asked_hz, strict=True))
         )
         rates.window_ns, rates.at_start = now_ns, counted
         if not rates.good and now_ns - rates.asked_ns >= _SECOND_NS:
@@ -195,11 +200,11 @@ class Preflight:
 
     def _tell_slow(self, vehicle: int, state: GroundState) -> None:
         rates = self._rates[vehicle]
-        asked_hz = self._plan.rates_of(vehicle).pose_hz
-        if rates.good and min(rates.hz) < _ENOUGH * asked_hz:
+        planned = self._plan.rates_of(vehicle)
+        if rates.good and not planned.lean and min(rates.hz) < _ENOUGH * planned.pose_hz:
             state.notes.append(
                 f"vehicle {self._plan.spec.vehicles[vehicle].id}: sends {rates.hz[0]:.0f} positions and"
-                f" {rates.hz[1]:.0f} attitudes per second, {asked_hz:.0f} were asked for; flying with that"
+                f" {rates.hz[1]:.0f} attitudes per second, {planned.pose_hz:.0f} were asked for; flying with that"
             )
 
     # What is not well yet: each returns a problem in words, or None
@@ -215,26 +220,52 @@ class Preflight:
             return f"heard there instead: system {', '.join(map(str, strangers[:8]))}; correct its id or link"
         return "switch it on, or correct its id or link"
 
+    def _deaf(self, vehicle: int, now_ns: int) -> str | None:
+        """Words for a vehicle that talks and answers no command: whatever else it lacks follows from that."""
+        commands = self._station.commands
+        if commands.unanswered[vehicle] < _UNANSWERED:
+            return None
+        if not commands.pending(vehicle) and now_ns - self._probed_ns[vehicle] >= _PROBE_AGAIN_NS:
+            # Any answer will do, a refusal too; otherwise one that hears again might never be asked again.
+            self._probed_ns[vehicle] = now_ns
+            commands.request(vehicle, self._plan.autopilots[vehicle].once("AUTOPILOT_VERSION"))
+        since = "any more" if commands.answered[vehicle] else f"({commands.unanswered[vehicle]} so far)"
+        return (
+            f"is heard, and answers no command {since}; see that its link carries both ways, that it takes commands"
+            f" from system {GROUND_STATION_SYSID}, and restart it"
+        )
+
     def _heard(self, vehicle: int, now_ns: int, pose_ns: int) -> str | None:
         fleet, limits, rates = self._station.fleet, self._plan.spec.limits, self._rates[vehicle]
-        heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
-        if heartbeat_s > limits.heartbeat_age_s:
-            return f"last heartbeat {heartbeat_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s"
+        if fleet.silent(now_ns, limits.heartbeat_age_s)[vehicle]:
+            heard_s = _age_s(now_ns, int(fleet.heard_ns[vehicle]))
+            return f"last heard {heard_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s; see to its link"
+        if fleet.heartbeat_stale(now_ns, limits.heartbeat_age_s)[vehicle]:
+            heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
+            limit_s = HEARTBEAT_PATIENCE * limits.heartbeat_age_s
+            return f"last heartbeat {heartbeat_s:.1f} s ago, limit {limit_s:g} s; restart it, or see to its link"
         pose_s = _age_s(now_ns, pose_ns)
         if pose_s > limits.pose_age_s:
             age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
             return (
-                f"position and attitude: {age}, limit {limits.pose_age_s:g} s; check its estimator and the message"
-                " rates"
+                f"position and attitude: {age}, limit {limits.pose_age_s:g} s{self._said_yes(vehicle)}; check its"
+                " estimator and the message rates"
             )
         if not rates.good:
             if np.isnan(rates.hz).any():
                 return "message rates asked for, not counted yet"
+            planned = self._plan.rates_of(vehicle)
             return (
                 f"sends {rates.hz[0]:.0f} positions and {rates.hz[1]:.0f} attitudes per second,"
-                f" {self._plan.rates_of(vehicle).pose_hz:.0f} were asked for; is the link too slow, or lossy?"
+                f" {planned.pose_hz:.0f} and {planned.attitude_hz:.0f} were asked for{self._said_yes(vehicle)}; is the"
+                " link too slow, or lossy?"
             )
         return None
+
+    def _said_yes(self, vehicle: int) -> str:
+        """Words for one that acknowledges what it is asked for; what it does is seen elsewhere."""
+        yes = self._rates[vehicle].tries > 1 and self._station.commands.answered[vehicle]
+        return " and acknowledged" if yes else ""
 
     def _readiness(self, vehicle: int, now_ns: int, said: Mapping[int, str]) -> str | None:
         fleet = self._station.fleet

@@ -203,7 +203,8 @@ class Runner:
         streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
-        velocity = self._sent_ned_m_s = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
+        still = self._monitor.hold | self._landing.asked | self._released
+        velocity = self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -495,6 +496,7 @@ class Runner:
             sent_ned_m_s=self._sent_ned_m_s,
             steered=~(self._released | self._climb.under_way | self._monitor.hold | self._landing.here),
             excused=excused,
+            blind=self._monitor.blind,
             airborne=self.airborne,
         )
         findings = self._monitor.look(sight)
@@ -507,7 +509,10 @@ class Runner:
             self._stay_ned_m[findings.land] = poses.pos_team_ned_m[findings.land]
             self._landing.want_here(findings.land, now_ns)
         if findings.abort:
-            self._give_up(findings.abort, now_ns, urgent=findings.urgent)
+            # One reason for each vehicle, the first: what is found of it later follows from that, and only alarms.
+            subject = findings.abort.partition(":")[0]
+            follows = any(part.startswith(f"{subject}:") for part in self.reason.split("; "))
+            self._give_up(findings.abort, now_ns, urgent=findings.urgent, follows=follows)
         if findings.silence:
             self._abort(findings.silence)
             self._enter(Phase.SILENT, now_ns)
@@ -517,7 +522,9 @@ class Runner:
         sinking = poses.sinking | (self._landing.here & fleet.armed) | self._killing.falling(now_ns)
         return replace(poses, sinking=sinking)
 
-    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False, urgent: bool = False) -> None:
+    def _give_up(
+        self, reason: str, now_ns: int, *, stop: bool = False, urgent: bool = False, follows: bool = False
+    ) -> None:
         """Ends the mission early: on the ground at once, in the air by way of the pads.
 
         Args:
@@ -525,8 +532,10 @@ class Runner:
             now_ns: time of the tick.
             stop: stand still for a moment first; not when somebody may have to get out of another one's way.
             urgent: does not wait for the end of an operator's hold.
+            follows: the reason only follows from one that was given before.
         """
-        self._abort(reason)
+        if not follows:
+            self._abort(reason)
         if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
         if self.phase is Phase.PAUSE:
@@ -589,5 +598,5 @@ class Runner:
             self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
-        distance = min_distance_m(poses.pos_team_ned_m, self.airborne)
+        distance = min_distance_m(poses.pos_team_ned_m, self.airborne & ~self._monitor.blind)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)

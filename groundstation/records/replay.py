@@ -24,6 +24,9 @@ from groundstation.records.tlog import TlogReader, read_tlog
 MAX_GAP_NS = 1_000_000_000
 """Between two samples further apart than this a position is not interpolated but unknown."""
 
+_BACK_MS = 1_000  # reordering on a link is quicker than this
+_ORIGIN_SAME = 50  # of 1e-7 degrees, 0.5 m, or of millimetres: less is a correction, not another origin
+_TOLD_LATE_NS = 1_000_000_000
 _IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
 _BLOCK = 1 << 18  # pairs of vehicles times instants that are held in memory at once
 
@@ -237,9 +240,10 @@ def load_flight(path: Path) -> Flight:
 
 
 def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Flight:
-    position_id = message_id("LOCAL_POSITION_NED")
+    position_id, origin_id = message_id("LOCAL_POSITION_NED"), message_id("GPS_GLOBAL_ORIGIN")
     setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
     positions: list[tuple[int, Frame]] = []
+    origins: list[tuple[int, Frame]] = []
     setpoints: list[tuple[int, Frame]] = []
     roles: list[Roles] = []
     events: list[Event] = []
@@ -254,6 +258,8 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
             case Received(t_ns, _, _, frame):
                 if frame.msgid == position_id:
                     positions.append((t_ns, frame))
+                elif frame.msgid == origin_id:
+                    origins.append((t_ns, frame))
             case Sent(t_ns, frame):
                 if frame.msgid == setpoint_id:
                     setpoints.append((t_ns, frame))
@@ -269,9 +275,13 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
                 noise_bytes += len(record.data)
     mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
     result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), None)
+    if settled_ns is not None:
+        lost_ns = _frames_lost_ns(positions, origins, settled_ns)
+        positions = [item for item in positions if item[0] < lost_ns.get(item[1].sysid, item[0] + 1)]
     if result.get("local_origins_enu_m"):
         # Where the local frames begin was settled just before arming; vehicles by GPS may have moved theirs until then.
-        settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), start_ns)
+        settled_ns = start_ns if settled_ns is None else settled_ns
         moved = {v.get("id") for v in mission.get("vehicles") or () if v.get("origin", "pad") not in ("pad", "team")}
         positions = [item for item in positions if item[0] >= settled_ns or item[1].sysid not in moved]
     return Flight(
@@ -290,6 +300,37 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         noise_bytes=noise_bytes,
         message=reader.message,
     )
+
+
+def _frames_lost_ns(
+    positions: Sequence[tuple[int, Frame]], origins: Sequence[tuple[int, Frame]], settled_ns: int
+) -> dict[int, int]:
+    """From when on a vehicle's local positions no longer count from where they did: it started anew, or moved its origin.
+
+    Args:
+        positions: LOCAL_POSITION_NED in order of arrival.
+        origins: GPS_GLOBAL_ORIGIN in order of arrival.
+        settled_ns: before this, frames may begin wherever they like.
+
+    Returns:
+        Times by system id, of those that are concerned.
+    """
+    lost_ns: dict[int, int] = {}
+    latest_ms: dict[int, int] = {}
+    for batch in decode([frame for _, frame in positions]):
+        for (t_ns, frame), boot in zip(positions, batch.values["time_boot_ms"].tolist(), strict=True):
+            if t_ns >= settled_ns and boot < latest_ms.get(frame.sysid, 0) - _BACK_MS:
+                lost_ns.setdefault(frame.sysid, t_ns)
+            latest_ms[frame.sysid] = max(boot, latest_ms.get(frame.sysid, 0)) if t_ns >= settled_ns else boot
+    told: dict[int, tuple[int, int, int]] = {}
+    for batch in decode([frame for _, frame in origins]):
+        for (t_ns, frame), values in zip(origins, batch.values, strict=True):
+            place = int(values["latitude"]), int(values["longitude"]), int(values["altitude"])
+            apart = max((abs(a - b) for a, b in zip(place, told.get(frame.sysid, place), strict=True)), default=0)
+            if t_ns >= settled_ns and apart > _ORIGIN_SAME:  # it is told after it was moved
+                lost_ns[frame.sysid] = min(lost_ns.get(frame.sysid, t_ns), t_ns - _TOLD_LATE_NS)
+            told[frame.sysid] = place
+    return lost_ns
 
 
 def _tracks(

@@ -40,7 +40,7 @@ def test_vehicles_of_both_kinds_are_found_with_their_places_as_a_block_for_a_mis
             discovery.receive(0, f"emulator:{sent.vehicle_index}", sent.data, now_ns)
         for out in discovery.outgoing(now_ns):
             world.receive(int(out.peer.partition(":")[2]), b"".join(out.frames), now_ns)
-    entries = [VehicleSpec.model_validate(entry) for entry in yaml.safe_load(discovery.block())["vehicles"]]
+    entries = [VehicleSpec.model_validate(entry) for entry in yaml.safe_load(discovery.block(4 * SECOND))["vehicles"]]
     assert [(entry.id, entry.autopilot, entry.origin) for entry in entries] == [
         (3, "px4", "gps"),
         (7, "arducopter", "gps"),
@@ -63,12 +63,40 @@ def test_two_under_one_id_are_named_on_one_link_and_on_two() -> None:
     assert discovery.doubles(20 * SECOND) == []
 
 
+def test_two_under_one_id_are_left_out_of_the_block_and_the_others_are_not() -> None:
+    discovery = Discovery([parse_address("udpin://0.0.0.0:14540")])
+    for peer, sysid in (("a", 4), ("b", 4), ("c", 5)):
+        discovery.receive(0, peer, Encoder(sysid).encode("HEARTBEAT", type=2, autopilot=12), SECOND)
+    block = discovery.block(SECOND)
+    assert "# system 4 is left out: more than one vehicle bears it" in block
+    assert [entry["id"] for entry in yaml.safe_load(block)["vehicles"]] == [5]
+
+
+def test_two_under_one_id_behind_one_radio_are_told_by_their_times() -> None:
+    """Asked where they are, both answer: one has been running for a minute longer."""
+    discovery = Discovery([parse_address("serial:///dev/ttyUSB0:57600")])
+    radio, encoder = "/dev/ttyUSB0", Encoder(4)
+    asked = 0
+    for tick in range(1, 41):
+        now_ns = tick * 100 * MS
+        discovery.receive(0, radio, encoder.encode("HEARTBEAT", type=2, autopilot=3), now_ns)
+        for _ in discovery.outgoing(now_ns):
+            asked += 1
+            for boot_ms in (100 * tick, 60_000 + 100 * tick):
+                raw = encoder.encode("GLOBAL_POSITION_INT", time_boot_ms=boot_ms, lat=1, lon=1)
+                discovery.receive(0, radio, raw, now_ns)
+    assert asked > 4
+    (line,) = discovery.doubles(4 * SECOND)
+    assert line.startswith("system 4 is heard twice at /dev/ttyUSB0 on serial:///dev/ttyUSB0:57600: two times since")
+    assert yaml.safe_load(discovery.block(4 * SECOND))["vehicles"] is None
+
+
 def test_strangers_are_shown_and_not_written_down() -> None:
     discovery = Discovery([parse_address("udpin://0.0.0.0:14540")])
     discovery.receive(0, "a", Encoder(255, 190).encode("HEARTBEAT", type=6, autopilot=8), 0)
     discovery.receive(0, "b", Encoder(9).encode("HEARTBEAT", type=2, autopilot=4), 0)
     assert [item.sysid for item in discovery.vehicles()] == [9]
-    assert yaml.safe_load(discovery.block())["vehicles"] is None
+    assert yaml.safe_load(discovery.block(0))["vehicles"] is None
 
 
 @pytest.fixture
@@ -105,6 +133,30 @@ def test_the_command_finds_a_vehicle_over_tcp(
     (vehicle,) = answer["vehicles"]
     assert (vehicle["id"], vehicle["autopilot"], vehicle["link"]) == (5, "arducopter", url)
     assert yaml.safe_load(answer["block"])["vehicles"][0]["id"] == 5
+
+
+def test_the_command_fails_where_two_bear_one_id_and_names_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two vehicles under one id on one UDP port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    stop = Event()
+    config = WorldConfig([VehicleConfig(sysid=5)])
+    with Server(config, 1, port=port) as one, Server(config, 2, port=port) as two:
+        threads = [Thread(target=server.run, args=(stop,), daemon=True) for server in (one, two)]
+        for thread in threads:
+            thread.start()
+        assert _run(["vehicles", f"udpin://127.0.0.1:{port}", "--seconds", "3", "--json"], monkeypatch) == 1
+        stop.set()
+        for thread in threads:
+            thread.join()
+    captured = capsys.readouterr()
+    answer = json.loads(captured.out.splitlines()[-1])
+    assert "system 5 is heard at 127.0.0.1:" in captured.err
+    assert "system 5 is heard at" in answer["problems"][0]
+    assert yaml.safe_load(answer["block"])["vehicles"] is None
 
 
 def test_nobody_there_is_said_with_what_is_wrong_with_the_link(

@@ -13,7 +13,7 @@ import socket
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -148,10 +148,17 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
 
 
 def _fly(
-    plan: MissionPlan, wires: dict[str, Wire | Callable[[Link], Wire]], log: Path
+    plan: MissionPlan,
+    wires: dict[str, Wire | Callable[[Link], Wire]],
+    log: Path,
+    *,
+    streams: str | None = None,
 ) -> tuple[Runner, World, TruthMeter]:
-    """Flies a mission over links; ``wires`` by address."""
-    world = World(world_config(plan, 1), 1)
+    """Flies a mission over links; ``wires`` by address, ``streams`` what the vehicles send unasked."""
+    config = world_config(plan, 1)
+    if streams is not None:
+        config = replace(config, vehicles=tuple(replace(vehicle, streams=streams) for vehicle in config.vehicles))
+    world = World(config, 1)
     meter, runner = TruthMeter(world), Runner(plan, 0)
     period_ns = round(SECOND_NS / plan.spec.rate_hz)
     with ExitStack() as stack:
@@ -252,9 +259,25 @@ def test_links_of_different_kinds_are_mixed_in_one_mission(other: str, cable: Ca
     _assert_flown(plan, _fly(plan, wires, tmp_path / "flight.tlog"), tmp_path / "flight.tlog")
 
 
-def test_eight_vehicles_behind_one_slow_radio_are_refused_before_anything_is_opened() -> None:
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+def test_eight_vehicles_behind_one_radio_at_57600_baud_are_flown(autopilot: str, cable: Cable, tmp_path: Path) -> None:
+    """Positions at 10 Hz and little else; what does not fit is left out by the wire, and nothing is in flight."""
+    wire = cable.serial(57_600)
+    name = {"px4": "px4_cube8", "arducopter": "arducopter_two_squares8"}[autopilot]
+    plan = mission(name, "link_delay_s=0.3", "steps.1.hold.seconds=5", *_links(*[wire.url] * 8))
+    (rates,) = plan.rates
+    assert rates.lean
+    flown = _fly(plan, {wire.url: wire}, tmp_path / "flight.tlog", streams="radio" if autopilot == "px4" else None)
+    _assert_flown(plan, flown, tmp_path / "flight.tlog")
+    seconds = flown[0].figures.ticks / plan.spec.rate_hz
+    assert max(wire.carried_up, wire.carried_down) / seconds < 5760
+    assert wire.left_out == 0
+
+
+def test_more_vehicles_than_a_radio_carries_are_refused_with_the_number_that_it_does_carry() -> None:
     url = "serial:///dev/ttyUSB0:57600"
+    links = [f"vehicles.{number}.link={url}" for number in range(8)]
     with pytest.raises(UserError) as caught:
-        mission("cube8", *(f"vehicles.{number}.link={url}" for number in range(8)))
-    assert "5760 bytes/s for 8 vehicles leave 5." in str(caught.value)
-    assert "Hz for positions, minimum is 8 Hz" in str(caught.value)
+        mission("cube8", f"link_bytes_per_s={{'{url}': 3000}}", *links)
+    assert f"link {url}: 3000 bytes/s for 8 vehicles leave 2." in str(caught.value)
+    assert "Hz for positions, minimum is 8 Hz; 4 would fit: use a faster link (57600 baud do)" in str(caught.value)

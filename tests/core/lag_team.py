@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from groundstation.core import avoidance, control, damper, frames, limits, metrics
+from groundstation.core import avoidance, control, damper, frames, limits, metrics, regions
 from groundstation.core.assignment import assign_roles
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import FloatArray, IntArray
@@ -150,7 +150,7 @@ def fly(
     if roles is None:
         roles = assign_roles(frames.enu_from_ned(start_ned_m), chain.formation).role_of_agent
     task = control.task_for_roles(chain.formation, chain.gains, roles)
-    sphere = avoidance.SafetySphere(chain.radius_m, max(chain.activation_m, chain.radius_m))
+    sphere = regions.SafetySphere(chain.radius_m, max(chain.activation_m, chain.radius_m))
     sensed = np.ones((n, n), dtype=np.bool_)
     wanted = chain.formation.distances_m[np.ix_(roles, roles)]
     upper = np.triu_indices(n, 1)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.core.avoidance import SafetySphere, avoid
+from groundstation.core.avoidance import avoid
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import FloatArray
 from groundstation.core.views import LocalViews
 from tests.core.lag_team import KINEMATIC, Chain, cube, cube_gains, fly, random_start

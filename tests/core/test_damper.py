@@ -185,7 +185,7 @@ def test_the_margin_leaves_room_for_the_formation() -> None:
 def test_impossible_parameters_are_refused(name: str) -> None:
     for value in (-0.1, np.nan):
         with pytest.raises(ValueError, match=name):
-            dataclasses.replace(PARAMS, **{name: value})
+            dataclasses.replace(PARAMS, **{name: value})  # type: ignore[arg-type]
 
 
 def test_what_is_not_finite_is_refused() -> None:

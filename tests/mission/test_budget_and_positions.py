@@ -44,13 +44,14 @@ def test_what_is_fitted_fits_and_is_no_more_than_was_wanted(
             "serial", vehicles, limit, pose_hz=pose_hz, setpoint_hz=setpoint_hz, position="LOCAL_POSITION_NED"
         )
 
-    if limit < 1050 * vehicles:
+    if limit < 500 * vehicles:
         with pytest.raises(UserError, match="use a faster link"):
             fit()
         return
-    if limit < 1300 * vehicles:
+    if limit < 700 * vehicles:
         return
     rates = fit()
+    assert rates.lean == (rates.attitude_hz < rates.pose_hz)
     assert max(rates.down_bytes_s, rates.up_bytes_s) <= 0.8 * limit * (1 + 1e-9)
     assert 8.0 <= rates.pose_hz <= pose_hz
     assert 5.0 <= rates.setpoint_hz <= setpoint_hz

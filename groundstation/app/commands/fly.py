@@ -16,11 +16,10 @@ from rich.table import Table
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
 from groundstation.app.output import Output
-from groundstation.app.progress import FlightDisplay
+from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
-from groundstation.links.link import Link
 from groundstation.links.opening import open_link
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Runner
@@ -97,10 +96,10 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     interrupts = Interrupts()
     with ExitStack() as stack:
         links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
-        display = stack.enter_context(FlightDisplay(out.console, plan))
+        display = stack.enter_context(FlightDisplay(out.console, plan, links))
         stack.enter_context(interrupts.listening())
         fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=(display,), interrupts=interrupts)
-        troubles = _troubles(links)
+        troubles = link_troubles(links)
     runner = session.runner
     for number, rates in enumerate(plan.rates):
         out.console.print(rates.words(plan.links[number], plan.link_of_vehicle.count(number)))
@@ -117,11 +116,6 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
 def _refusal(reason: str) -> str:
     lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ")
     return "preflight refused, nothing was armed:\n  " + lines
-
-
-def _troubles(links: Sequence[Link]) -> list[str]:
-    """What is wrong with the links themselves, a line for each."""
-    return [f"link {link.url}: {link.state}" for link in links if link.state]
 
 
 def _period_ns(plan: MissionPlan) -> int:
@@ -178,11 +172,11 @@ def _real_flight(
         log = stack.enter_context(_recording(log_path, manifest, plan))
         session = Session(Runner(plan, 0), log)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan) as display, interrupts.listening():
+        with FlightDisplay(out.console, plan, links) as display, interrupts.listening():
             watchers = (display,) if meter is None else (display, meter)
             fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
         values = _values(session.runner, log_path, emulated_seed)
-        values["reason"] = "; ".join([str(values["reason"]), *_troubles(links)]) if values["reason"] else ""
+        values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         record = _for_the_record(session.runner)
         for url, link in zip(plan.links, links, strict=True):
             record["counts"][f"errors of {url}"] = link.errors

@@ -50,6 +50,7 @@ def replay(
         mismatches = result.mismatches
         values |= {
             "ticks": result.ticks,
+            "frames_compared": result.frames,
             "setpoints": result.setpoints,
             "mismatches": mismatches,
             "max_error_m_s": result.max_error_m_s,

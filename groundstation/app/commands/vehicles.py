@@ -12,7 +12,7 @@ from rich.text import Text
 from groundstation.app.discovery import Discovery
 from groundstation.app.loop import FlightClock, Interrupts, Waiting
 from groundstation.app.output import Output
-from groundstation.core.errors import CheckFailed
+from groundstation.core.errors import CheckFailed, MissionFailed
 from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import parse_address
 
@@ -28,7 +28,10 @@ def vehicles(
     seconds: Annotated[float, typer.Option(help="How long to look.", min=0.5, max=600)] = 4.0,
     as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
 ) -> None:
-    """Finds the vehicles on links and prints a ``vehicles:`` block for a mission file. Arms nothing."""
+    """Finds the vehicles on links and prints a ``vehicles:`` block for a mission file. Arms nothing.
+
+    Ends with 1 when nobody is heard, or when two vehicles bear one system id: these are left out of the block.
+    """
     out = Output(as_json=as_json)
     addresses = [parse_address(url) for url in dict.fromkeys(urls or _DEFAULT)]
     discovery = Discovery(addresses)
@@ -52,7 +55,7 @@ def vehicles(
                     links[sent.link].send(sent.peer, b"".join(sent.frames))
         troubles = [f"link {link.url}: {link.state}" for link in links if link.state]
     found, doubles = discovery.vehicles(), discovery.doubles(now_ns)
-    _show(out, discovery, [*troubles, *doubles])
+    _show(out, discovery, [*troubles, *doubles], now_ns)
     out.result(
         {
             "vehicles": [
@@ -68,7 +71,7 @@ def vehicles(
                 for item in found
             ],
             "problems": [*troubles, *doubles],
-            "block": discovery.block(),
+            "block": discovery.block(now_ns),
         }
     )
     if not found:
@@ -76,9 +79,11 @@ def vehicles(
         raise CheckFailed(
             f"no vehicle was heard in {seconds:g} s on {looked}; is it switched on, and the address right?"
         )
+    if doubles:
+        raise MissionFailed("; ".join(doubles))
 
 
-def _show(out: Output, discovery: Discovery, problems: list[str]) -> None:
+def _show(out: Output, discovery: Discovery, problems: list[str], now_ns: int) -> None:
     table = Table("id", "autopilot", "version", "mode", "armed", "place")
     for item in discovery.vehicles():
         name = item.autopilot.name if item.autopilot else f"MAV_AUTOPILOT {item.mav_autopilot}, not flown by gs"
@@ -89,4 +94,4 @@ def _show(out: Output, discovery: Discovery, problems: list[str]) -> None:
     for problem in problems:
         out.console.print(Text(problem, style="bold red"))
     if discovery.found:
-        out.console.print(Text(discovery.block()))
+        out.console.print(Text(discovery.block(now_ns)))
