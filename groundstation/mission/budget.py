@@ -12,6 +12,7 @@ from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import layout
 
 _OVERHEAD_BYTES = 12  # header and checksum of MAVLink 2
+_SIGNATURE_BYTES = 13
 _USABLE = 0.8  # of what the wire carries: bursts, repetitions and texts want room
 _POSE_MIN_HZ, _SETPOINT_MIN_HZ = 8.0, 5.0  # the authors needed 10 Hz indoors; PX4 wants more than 2 setpoints a second
 _SLOW_DOWN = {"HEARTBEAT": 1.0, "SYS_STATUS": 1.0, "EXTENDED_SYS_STATE": 2.0, "TIMESYNC": 1.0, "COMMAND_ACK": 0.5}
@@ -55,13 +56,20 @@ class LinkRates:
         )
 
 
-def frame_bytes(message: str) -> int:
+def frame_bytes(message: str, *, signed: bool = False) -> int:
     """Size of a message on the wire as it is usually sent."""
-    return _SIZES.get(message, layout(message).size) + _OVERHEAD_BYTES
+    return _SIZES.get(message, layout(message).size) + _OVERHEAD_BYTES + (_SIGNATURE_BYTES if signed else 0)
 
 
 def fit_rates(
-    link: str, vehicles: int, limit_bytes_s: float, *, pose_hz: float, setpoint_hz: float, position: str
+    link: str,
+    vehicles: int,
+    limit_bytes_s: float,
+    *,
+    pose_hz: float,
+    setpoint_hz: float,
+    position: str,
+    signed: bool = False,
 ) -> LinkRates:
     """Fits the rates of a link's vehicles to what it carries.
 
@@ -72,16 +80,17 @@ def fit_rates(
         pose_hz: wanted rate of positions.
         setpoint_hz: wanted rate of setpoints.
         position: message type that positions come in.
+        signed: every frame bears a signature.
 
     Raises:
         UserError: what fits is too slow to be flown with.
     """
     usable = _USABLE * limit_bytes_s
-    pose_bytes = frame_bytes(position) + frame_bytes("ATTITUDE_QUATERNION")
-    slow_down = sum(frame_bytes(name) * rate for name, rate in _SLOW_DOWN.items())
-    slow_up = sum(frame_bytes(name) * rate for name, rate in _SLOW_UP.items())
-    shared_up = sum(frame_bytes(name) * rate for name, rate in _SHARED_UP.items())
-    setpoint_bytes = frame_bytes("SET_POSITION_TARGET_LOCAL_NED")
+    pose_bytes = frame_bytes(position, signed=signed) + frame_bytes("ATTITUDE_QUATERNION", signed=signed)
+    slow_down = sum(frame_bytes(name, signed=signed) * rate for name, rate in _SLOW_DOWN.items())
+    slow_up = sum(frame_bytes(name, signed=signed) * rate for name, rate in _SLOW_UP.items())
+    shared_up = sum(frame_bytes(name, signed=signed) * rate for name, rate in _SHARED_UP.items())
+    setpoint_bytes = frame_bytes("SET_POSITION_TARGET_LOCAL_NED", signed=signed)
     pose_fits = (usable / vehicles - slow_down) / pose_bytes
     setpoint_fits = ((usable - shared_up) / vehicles - slow_up) / setpoint_bytes
     pose, setpoint = min(pose_hz, pose_fits), min(setpoint_hz, setpoint_fits)
