@@ -1,7 +1,7 @@
 """Gives a signing key to the vehicles of a mission and believes it when they sign with it. Sans-IO.
 
-The key travels readable, as the MAVLink protocol has it: whoever hears the link has it too. It is sent to vehicles that are
-disarmed, to the address that their heartbeats come from, and to nobody else. Nothing of it is recorded.
+The key travels readable, as the MAVLink protocol has it: whoever hears the link has it too. It is sent to vehicles that
+are disarmed, to the address that their heartbeats come from, and to nobody else. Nothing of it is recorded.
 """
 
 from __future__ import annotations

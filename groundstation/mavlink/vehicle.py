@@ -201,7 +201,7 @@ class Fleet:
                 handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
 
     def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
-        """Whether a frame comes from where the vehicle is; it may move only after a silence, and where it is held not far."""
+        """Whether a frame comes from where the vehicle is; that may move after a silence only, in the air not far."""
         known = self.peer[row]
         if known != item.peer:
             silent = item.t_rx_ns - int(self._peer_ns[row]) >= _PEER_SILENT_NS

@@ -115,8 +115,9 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
         table.add_row(str(vehicle.id), problems.get(f"vehicle {vehicle.id}", "ready"))
     out.console.print(table)
     refused = _refused(plan, gate)
-    for line in refused:
-        out.console.print(Text(line, style="bold red"))
+    if runner.outcome == "completed":  # else they are among the reasons
+        for line in refused:
+            out.console.print(Text(line, style="bold red"))
     out.result(
         {
             "mission": plan.spec.name,
@@ -276,10 +277,11 @@ def _for_the_record(runner: Runner, gate: FlightGate | None) -> dict[str, Any]:
 def _tell_refused(out: Output, values: dict[str, Any], plan: MissionPlan, gate: FlightGate | None) -> None:
     """Tells what signing left out; where the flight came to nothing that may be why."""
     lines = _refused(plan, gate)
+    if values["refused"]:
+        values["reason"] = "; ".join([str(values["reason"]), *lines])
+        return
     for line in lines:
         out.console.print(Text(line, style="bold red"))
-    if lines and values["refused"]:
-        values["reason"] = "; ".join([str(values["reason"]), *lines])
 
 
 def _tell(out: Output, values: Mapping[str, Any]) -> None:
