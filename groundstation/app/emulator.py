@@ -14,6 +14,7 @@ from threading import Event, Thread
 import numpy as np
 
 from groundstation.app.session import Session
+from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import formation_error_m
 from groundstation.mission.plan import MissionPlan
@@ -45,6 +46,8 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     yaws = (
         np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
     )
+    keys = read_keys(plan)
+    key_of_vehicle = [keys[link] for link in plan.link_of_vehicle]
     config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(
@@ -55,8 +58,9 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
                 streams=_STREAMS[vehicle.autopilot],
+                signing_key=None if key is None else key.setup_bytes(),
             )
-            for vehicle, yaw in zip(plan.spec.vehicles, yaws, strict=True)
+            for vehicle, yaw, key in zip(plan.spec.vehicles, yaws, key_of_vehicle, strict=True)
         )
     )
     anchor = plan.spec.anchor

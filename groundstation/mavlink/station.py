@@ -14,7 +14,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
-from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, encode_batch
+from groundstation.mavlink.codec import Encoder, Frame, Splitters, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
 
@@ -24,7 +24,6 @@ _HEARTBEAT_NS = 1_000_000_000
 _TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
 _TIMESYNC_EAGER_NS, _TIMESYNC_NS = 200_000_000, 2_000_000_000
 _TIMESYNC_ENOUGH = 10  # round trips after which there is no hurry
-_PEERS_MAX = 1000  # addresses whose streams are kept apart; a flood of new ones cannot take the memory
 
 
 class Outgoing(NamedTuple):
@@ -53,7 +52,7 @@ class Station:
         self.setpoints_sent = 0
         self._start_ns = start_ns
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
         self._received: list[ReceivedFrame] = []
         self._next_heartbeat_ns = start_ns
         self._next_timesync_ns = start_ns
@@ -69,13 +68,7 @@ class Station:
             data: as received.
             t_rx_ns: when.
         """
-        splitter = self._splitters.get((link, peer))
-        if splitter is None:
-            if len(self._splitters) >= _PEERS_MAX:
-                self.fleet.counts["datagram from one address too many"] += 1
-                return
-            splitter = self._splitters[link, peer] = FrameSplitter(datagrams=link not in self._streams)
-        for piece in splitter.feed(data):
+        for piece in self._splitters.feed((link, peer), data, stream=link in self._streams):
             if isinstance(piece, Frame):
                 self._received.append(ReceivedFrame(piece, link, peer, t_rx_ns))
             else:

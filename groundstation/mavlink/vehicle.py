@@ -11,7 +11,7 @@ as far as its clock is known (``clocks``). Unknown is NaN, ``NEVER`` or ``UNKNOW
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.clocks import BootTimes, Clocks
-from groundstation.mavlink.codec import Batch, Frame, decode, message_id
+from groundstation.mavlink.codec import Batch, Frame, decode, message_id, message_name
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -161,6 +161,8 @@ class Fleet:
         self._pieces: dict[int, tuple[int, dict[int, bytes]]] = {}
         self._rivals: list[tuple[str, int] | None] = [None] * n
         self._elsewhere: dict[tuple[int, int], int] = {}
+        self._held = False
+        self._signed: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
         """Number of vehicles, n."""
@@ -176,7 +178,9 @@ class Fleet:
         rows: list[int] = []
         for item in received:
             row = self._row_of.get(item.frame.sysid)
-            if row is None:
+            if message_name(item.frame.msgid) is None:  # its checksum cannot be known: it may be noise
+                self.counts["unknown message"] += 1
+            elif row is None:
                 self.counts["unknown system"] += 1
                 if item.frame.compid == AUTOPILOT_COMPID and len(self._elsewhere) < _ELSEWHERE_MAX:
                     self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
@@ -200,15 +204,34 @@ class Fleet:
                 handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
 
     def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
-        """Whether a frame comes from where the vehicle is; it may move only after a silence."""
-        if self.peer[row] != item.peer:
-            if self.peer[row] is not None and item.t_rx_ns - int(self.heard_ns[row]) < _PEER_SILENT_NS:
+        """Whether a frame comes from where the vehicle is; that may move after a silence only, in the air not far."""
+        known = self.peer[row]
+        if known != item.peer:
+            silent = item.t_rx_ns - int(self.heard_ns[row]) >= _PEER_SILENT_NS
+            if known is not None and not (silent and self._may_move(row, known, item.peer)):
                 if item.frame.msgid == _HEARTBEAT:
                     self._rivals[row] = (item.peer, item.t_rx_ns)
                 return False
             self.peer[row] = item.peer
         self.heard_ns[row] = item.t_rx_ns
         return True
+
+    def hold_addresses(self, signed: Collection[int] = ()) -> None:
+        """From now on vehicles stay where they are: nobody else takes over the name of one that fell silent.
+
+        Another port of the same host is let in still (a router that started anew), and anybody on links on which only
+        those who have the key are heard at all.
+
+        Args:
+            signed: links that are signed.
+        """
+        self._held = True
+        self._signed = frozenset(signed)
+
+    def _may_move(self, row: int, known: str, peer: str) -> bool:
+        if not self._held or int(self.link[row]) in self._signed:
+            return True
+        return known.rpartition(":")[0] == peer.rpartition(":")[0]
 
     def twin(self, vehicle: int, now_ns: int) -> str | None:
         """Tells of a second vehicle that speaks under this one's system id; None when there is none."""

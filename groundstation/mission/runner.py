@@ -257,6 +257,7 @@ class Runner:
                 self._enter(Phase.DONE, now_ns)
             else:
                 self._frame.settle(self.fleet, now_ns)
+                self.fleet.hold_addresses(plan.signed_links)
                 self._monitor.begin(self.fleet)
                 self._yaw_ned_rad = frames.yaw_ned_from_quat(self.fleet.quat_ned_from_frd)
                 for line in self._frame.words():

@@ -113,6 +113,19 @@ class AnchorSpec(_Strict):
     alt_m: Annotated[float, Field(ge=-500, le=9000)]
 
 
+class LinkSigningSpec(_Strict):
+    """Signing of one link; ``key_file: null`` leaves it unsigned."""
+
+    key_file: Annotated[str, Field(min_length=1)] | None = None
+    link_id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=0, le=255)] | None = None
+
+
+class SigningSpec(LinkSigningSpec):
+    """MAVLink 2 signing: of all links, and of single ones that differ, by address."""
+
+    links: dict[str, LinkSigningSpec] = {}
+
+
 class VehicleSpec(_Strict):
     """One vehicle, its pad, and where its position counts from."""
 
@@ -160,4 +173,5 @@ class MissionSpec(_Strict):
     set_gps_origin: bool = False
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
+    signing: SigningSpec | None = None
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]
