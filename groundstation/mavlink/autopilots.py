@@ -19,6 +19,7 @@ CMD_COMPONENT_ARM_DISARM = 400
 CMD_SET_MESSAGE_INTERVAL = 511
 CMD_REQUEST_MESSAGE = 512
 _CUSTOM_MODE_ENABLED = 1.0
+_FORCE = 21196.0  # the number that makes COMPONENT_ARM_DISARM act in the air
 
 MASK_VELOCITY_AND_YAW = 0x09C7
 """POSITION_TARGET_TYPEMASK that leaves velocity and yaw to us and ignores position, acceleration and yaw rate."""
@@ -42,6 +43,10 @@ class Autopilot(ABC):
     def disarm(self) -> Command:
         """Command that disarms on the ground; refused in the air."""
         return Command("disarm", CMD_COMPONENT_ARM_DISARM, (0.0,))
+
+    def kill(self) -> Command:
+        """Command that stops the motors at once, in the air too."""
+        return Command("kill", CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE))
 
     def message_interval(self, message: str, rate_hz: float) -> Command:
         """Command that sets the rate of a stream; at most that often, as the vehicle's clock divides."""

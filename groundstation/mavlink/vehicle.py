@@ -29,6 +29,7 @@ UNKNOWN = -1
 AUTOPILOT_COMPID = 1
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
+_VOLTAGE_UNKNOWN = 65_535
 _TYPE_GCS = 6  # MAV_TYPE_GCS
 _HEARTBEAT = message_id("HEARTBEAT")
 _PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from another address
@@ -118,6 +119,7 @@ class Fleet:
         prearm_ok: the autopilot's own arming checks pass, shape (n,).
         status_ns: arrival of the last SYS_STATUS, shape (n,).
         battery_remaining: 0 to 1, NaN when not reported, shape (n,).
+        battery_v: voltage of the pack, NaN when not reported, shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
     """
 
@@ -148,6 +150,7 @@ class Fleet:
         self.prearm_ok: BoolArray = np.zeros(n, dtype=np.bool_)
         self.status_ns = _times(n)
         self.battery_remaining: FloatArray = np.full(n, np.nan)
+        self.battery_v: FloatArray = np.full(n, np.nan)
         self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
         self.clocks = Clocks(n)
         self.restarts: IntArray = np.zeros(n, dtype=np.int64)
@@ -402,6 +405,8 @@ class Fleet:
         self.battery_remaining[row] = np.where(
             values["battery_remaining"] < 0, np.nan, values["battery_remaining"].astype(np.float64) / 100.0
         )
+        millivolts = values["voltage_battery"].astype(np.float64)
+        self.battery_v[row] = np.where((millivolts == 0) | (millivolts == _VOLTAGE_UNKNOWN), np.nan, millivolts * 1e-3)
         self.status_ns[row] = t_ns
 
     def _extended_state(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:

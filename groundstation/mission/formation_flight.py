@@ -103,6 +103,11 @@ class FormationFlight:
             return Phase.RETURN
         return Phase.FORM if self._plan.spec.steps[self._step_index].form is not None else Phase.HOLD
 
+    def stood_still(self, held_ns: int) -> None:
+        """The operator held the team for a while: the step's clock did not run."""
+        self._step_ns += held_ns
+        self._steady_since_ns = NEVER
+
     def step(self, now_ns: int, poses: Poses) -> FormationTick:
         """One tick of the step under way.
 

@@ -107,6 +107,41 @@ class MissionPlan:
         """How far a vehicle's two positions, local and global, may drift apart."""
         return self.spec.limits.frame_drift_m or 0.5 + self.margin_m
 
+    @property
+    def pose_jump_m(self) -> float:
+        """How far a vehicle's positions may move otherwise than its velocities say."""
+        return self.spec.limits.pose_jump_m or 0.5 + self.margin_m
+
+    @property
+    def tracking_m_s(self) -> float:
+        """How far a vehicle's velocity may be off what it was told, over a second."""
+        return self.spec.limits.tracking_m_s or max(0.3, 0.6 * self.spec.speed_limit_m_s)
+
+    @property
+    def lost_radius_m(self) -> float:
+        """How much larger than r an obstacle that nobody sees may become."""
+        limit = self.spec.limits.lost_radius_m
+        return self.spec.avoidance.radius_m if limit is None else limit
+
+    @property
+    def battery_warn(self) -> float:
+        """Share of the battery below which people are told."""
+        limits = self.spec.limits
+        return min(limits.battery_min + 0.1, 0.99) if limits.battery_warn is None else limits.battery_warn
+
+    @property
+    def battery_land(self) -> float:
+        """Share of the battery below which a vehicle lands where it is."""
+        limits = self.spec.limits
+        return 0.5 * limits.battery_min if limits.battery_land is None else limits.battery_land
+
+    @property
+    def battery_land_v(self) -> float | None:
+        """The same in volts; None without."""
+        limits = self.spec.limits
+        low = limits.battery_min_v
+        return 0.95 * low if limits.battery_land_v is None and low is not None else limits.battery_land_v
+
     def rates_of(self, vehicle: int) -> LinkRates:
         """Rates of a vehicle."""
         return self.rates[self.link_of_vehicle[vehicle]]

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.limits import Fence
 from groundstation.core.metrics import min_distance_m
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
@@ -22,8 +23,10 @@ from groundstation.mission.arming import Arming
 from groundstation.mission.climb import Climb
 from groundstation.mission.formation_flight import FormationFlight
 from groundstation.mission.guidance import Guide, Poses
-from groundstation.mission.landing import Landing
+from groundstation.mission.killing import Killing
+from groundstation.mission.landing import Landing, clear_spots
 from groundstation.mission.monitor import Monitor, Sight
+from groundstation.mission.operator import OperatorCommand, Order, parse_command, refusal
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
@@ -94,12 +97,18 @@ class Runner:
         self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
         self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
         self._landing = Landing(plan, self.fleet, self._station.commands)
+        self._killing = Killing(plan, self.fleet, self._station.commands)
         self._faults = 0
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._words = Words()
-        self._abort_requested = False
+        self._lines: list[str] = []
+        self._resume_to = Phase.CONNECT
+        self._resume_phase_ns = start_ns
+        self._lands_here = False
+        self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
+        self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
         self._spread_m = _OF_MARGIN * plan.margin_m
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
@@ -116,24 +125,11 @@ class Runner:
         self._station.receive(link, peer, data, t_rx_ns)
 
     def operator(self, command: str) -> None:
-        """Takes a command of the operator; it is acted upon in the next step.
+        """Takes a line of the operator, see ``operator.parse_command``; it is acted upon in the next step.
 
-        Args:
-            command: ``return`` (everyone stops, flies back and lands) or ``silence`` (setpoints stop; the autopilots'
-                own failsafe acts).
-
-        Raises:
-            ValueError: another command.
+        A line that is not understood, or that the phase refuses, changes nothing and is answered by a note.
         """
-        if command == "return":
-            self._abort_requested = True
-        elif command == "silence":
-            self._note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
-            self._abort("stopped by the operator, setpoints ended")
-            if self.phase is not Phase.DONE:
-                self._enter(Phase.SILENT, self._last_step_ns)
-        else:
-            raise ValueError(f"operator command {command!r} is none of return, silence")
+        self._lines.append(command)
 
     @property
     def done(self) -> bool:
@@ -186,28 +182,28 @@ class Runner:
         n = self.plan.size
         velocity: FloatArray = np.zeros((n, 3))
         poses = self._frame.poses(self.fleet, now_ns)
-        if self._abort_requested:
-            self._abort_requested = False
-            self._give_up("stopped by the operator", now_ns, stop=True)
+        lines, self._lines = self._lines, []
+        for line in lines:
+            self._obey(line, poses, now_ns)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
-            self._watch(poses, now_ns)
-            # Whoever does not follow us, or cannot be seen, may come down at any moment: nobody stays underneath.
-            poses = replace(poses, sinking=(self._monitor.blind | self._monitor.foreign) & self.fleet.armed)
+            poses = self._watch(poses, now_ns)
             self._measure(poses)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
         elif self.phase is Phase.ARM:
             self._arm(now_ns, poses)
         elif self.phase is Phase.SILENT:
+            self._landing.step(now_ns, poses, self._released)
             self._come_down(now_ns)
         elif self.phase in AIRBORNE_PHASES:
             velocity = self._steer(now_ns, poses)
+        self._killing.step(now_ns)
         streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
-        velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
+        velocity = self._sent_ned_m_s = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -221,6 +217,8 @@ class Runner:
                 return self._takeoff(now_ns, poses)
             if self.phase in FORMATION_PHASES:
                 return self._formation(now_ns, poses)
+            if self.phase is Phase.PAUSE:
+                return self._pause(now_ns, poses)
             if self.phase is Phase.RETURN:
                 return self._return(now_ns, poses)
             if self.phase is Phase.LAND:
@@ -316,7 +314,7 @@ class Runner:
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
         away = (offset >= max(_PAD_TOLERANCE_M, self._spread_m)) & self.fleet.armed
-        away &= ~(self._released | self._landing.asked | self._monitor.blind | self._landing.lost(now_ns))
+        away &= ~(self._released | self._landing.here | self._monitor.blind | self._landing.lost(now_ns))
         if not away.any():
             if self._steady(now_ns):
                 self._enter(Phase.LAND, now_ns)
@@ -325,7 +323,8 @@ class Runner:
             if now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
-        setpoints = self._guide.to_targets(poses, self._flight.gather_ned_m)
+        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
+        setpoints = self._guide.to_targets(poses, targets)
         self._flight.count_gridlocks(setpoints.blocked, now_ns)
         return setpoints.vel_ned_m_s
 
@@ -333,13 +332,37 @@ class Runner:
         if self._takeoff_ns == NEVER:
             self._landing.disarm_on_the_ground(now_ns)
         else:
-            self._landing.want(range(self.plan.size), now_ns)
+            aside_m = np.linalg.norm((poses.pos_team_ned_m - self._flight.gather_ned_m)[:, :2], axis=1)
+            waits = self._lands_here & (aside_m >= max(_PAD_TOLERANCE_M, self._spread_m))
+            waits &= now_ns - self._phase_ns < self.plan.spec.land.timeout_s * _SECOND_NS
+            self._landing.want(np.flatnonzero(~waits).tolist(), now_ns)
         self._come_down(now_ns)
-        return self._guide.to_targets(poses, self._flight.gather_ned_m).vel_ned_m_s
+        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
+        return self._guide.to_targets(poses, targets).vel_ned_m_s
+
+    def _pause(self, now_ns: int, poses: Poses) -> FloatArray:
+        """Stands still at the operator's word, as long as that is safe; avoidance stays on."""
+        why = self._too_low_to_hold()
+        if why is None and now_ns - self._phase_ns >= self.plan.spec.limits.hold_s * _SECOND_NS:
+            why = f"held for {self.plan.spec.limits.hold_s:g} s, which is the limit"
+        if why is not None:
+            self._give_up(f"{why}; the hold is over, everybody comes back", now_ns, urgent=True)
+        elif (self._landing.here | self._released | ~self.fleet.armed).all():
+            self._enter(Phase.LAND, now_ns)
+        return self._guide.to_targets(poses, self._stay_ned_m).vel_ned_m_s
+
+    def _too_low_to_hold(self) -> str | None:
+        """Words for a battery that does not allow standing still, None when all do."""
+        minimum = self.plan.spec.limits.battery_min
+        for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & ~self._released):
+            left = self.fleet.battery_remaining[vehicle]
+            return f"vehicle {self.fleet.sysid[vehicle]}: battery at {left:.0%}, minimum is {minimum:.0%}"
+        return None
 
     def _come_down(self, now_ns: int) -> None:
         """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
         up = self._landing.still_up(self._phase_ns, now_ns, self._released)
+        up |= self._killing.not_shown() & ~self._landing.lost(now_ns)
         late = now_ns - self._phase_ns >= _DOWN_MAX_NS
         if up.any() and not late:
             self._steady_since_ns = NEVER
@@ -357,40 +380,169 @@ class Runner:
             self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
         self._finish(now_ns)
 
+    # What the operator says
+
+    def _obey(self, line: str, poses: Poses, now_ns: int) -> None:
+        """Does what a line says, or says why not."""
+        try:
+            command = parse_command(line, self.fleet.sysid.tolist())
+        except ValueError as error:
+            self._note("alarm", str(error))
+            return
+        why = refusal(self.phase, command.order)
+        if command.order is Order.HOLD and why is None:
+            why = self._too_low_to_hold()
+        if why is not None:
+            self._note("alarm", f"operator: {command.text} refused: {why}")
+            return
+        self._note("info", f"operator: {command.text}")
+        if command.order is Order.KILL:
+            self._kill(command, now_ns)
+        elif command.order is Order.SILENCE:
+            self._note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
+            self._abort("stopped by the operator, setpoints ended")
+            self._enter(Phase.SILENT, now_ns)
+        elif command.order is Order.RESUME:
+            self._resume(now_ns)
+        elif command.order is Order.RETURN or self.phase in (Phase.CONNECT, Phase.ARM):
+            self._give_up("stopped by the operator", now_ns, stop=True, urgent=True)
+        elif command.order is Order.HOLD:
+            self._hold_still(poses, now_ns)
+        else:
+            self._land_now(command, poses, now_ns)
+
+    def _hold_still(self, poses: Poses, now_ns: int) -> None:
+        """Everybody stops; what the team was doing goes on where it was when the operator says so."""
+        self._resume_to, self._resume_phase_ns = self.phase, self._phase_ns
+        rest = self._rest(poses)
+        self._stay_ned_m = np.where(self._landing.here[:, None], self._stay_ned_m, rest)
+        # Who has left the ground stays where it is; a climb by command would go on to its end.
+        self._climb.under_way &= ~self.airborne
+        self._enter(Phase.PAUSE, now_ns)
+
+    def _resume(self, now_ns: int) -> None:
+        held_ns = now_ns - self._phase_ns
+        self._enter(self._resume_to, now_ns)
+        if self._resume_phase_ns != NEVER:
+            self._phase_ns = self._resume_phase_ns + held_ns
+            self._flight.stood_still(held_ns)
+
+    def _land_now(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
+        """Some, or all, come down where they are."""
+        if self.phase is Phase.SILENT:
+            self._landing.want(command.vehicles, now_ns)
+            return
+        rest = self._rest(poses)
+        if not command.everybody:
+            vehicles = [vehicle for vehicle in command.vehicles if not self._released[vehicle]]
+            for vehicle in command.vehicles:
+                name = f"vehicle {self.fleet.sysid[vehicle]}"
+                if self._released[vehicle]:
+                    self._note("alarm", f"operator: {name} is released and not ours to land")
+            self._stay_ned_m[vehicles] = rest[vehicles]
+            self._climb.under_way[vehicles] = False
+            self._landing.want_here(vehicles, now_ns)
+            if vehicles:
+                names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in vehicles)
+                self._give_up(f"{names}: landed by the operator", now_ns)
+            return
+        self._abort("landed by the operator")
+        ours = ~(self._released | self._monitor.blind | self._landing.here)
+        fence = Fence.from_enu(np.array(self.plan.spec.fence.min_m), np.array(self.plan.spec.fence.max_m))
+        # They are called there when within the tolerance.
+        tolerance_m = max(_PAD_TOLERANCE_M, self._spread_m)
+        clearance_m = self.plan.spec.avoidance.activation_m + self.plan.margin_m + tolerance_m
+        self._flight.gather_ned_m = clear_spots(rest, ours, clearance_m, fence.min_team_ned_m, fence.max_team_ned_m)
+        aside_m = np.linalg.norm((self._flight.gather_ned_m - rest)[:, :2], axis=1)
+        for vehicle in np.flatnonzero(aside_m > 0.0).tolist():
+            name = f"vehicle {self.fleet.sysid[vehicle]}"
+            self._note("info", f"{name}: moves {aside_m[vehicle]:.2f} m aside before it lands; somebody is below")
+        self._lands_here = True
+        self._climb.under_way[:] = False
+        self._enter(Phase.LAND, now_ns)
+
+    def _kill(self, command: OperatorCommand, now_ns: int) -> None:
+        """Motors stop; whoever is killed is no longer ours."""
+        names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in command.vehicles)
+        self._killing.want(command.vehicles, now_ns)
+        self._released[list(command.vehicles)] = True
+        reason = f"{'everybody' if command.everybody else names}: killed by the operator"
+        if command.everybody or self.phase is Phase.CONNECT:
+            self._abort(reason)
+            if self.phase is not Phase.SILENT:
+                self._enter(Phase.SILENT, now_ns)
+        else:
+            self._give_up(reason, now_ns)
+
+    def _rest(self, poses: Poses) -> FloatArray:
+        """Where everybody comes to rest when told to stop now, shape (n, 3)."""
+        stopping_s = self.plan.profile.lag_s + self.plan.profile.delay_s
+        return poses.pos_team_ned_m + stopping_s * poses.vel_ned_m_s
+
     # What the phases share
 
-    def _watch(self, poses: Poses, now_ns: int) -> None:
-        """Acts on what the monitors find in the air."""
-        pose_ns, drift_m = self._frame.pose_ns(self.fleet), self._frame.drift_m(self.fleet, now_ns)
-        sight = Sight(poses.pos_team_ned_m, pose_ns, drift_m)
-        findings = self._monitor.look(self.fleet, sight, now_ns, self._landing.asked)
+    def _watch(self, poses: Poses, now_ns: int) -> Poses:
+        """Acts on what the monitors find in the air; returns the poses to steer by, with obstacles marked."""
+        fleet, pose_ns = self.fleet, self._frame.pose_ns(self.fleet)
+        poses = self._monitor.trusted(poses, pose_ns, now_ns)
+        excused = self._landing.asked | self._killing.asked
+        sight = Sight(
+            fleet=fleet,
+            now_ns=now_ns,
+            pos_team_ned_m=poses.pos_team_ned_m,
+            vel_ned_m_s=poses.vel_ned_m_s,
+            pose_ns=pose_ns,
+            drift_m=self._frame.drift_m(fleet, now_ns),
+            sent_ned_m_s=self._sent_ned_m_s,
+            steered=~(self._released | self._climb.under_way | self._monitor.hold | self._landing.here),
+            excused=excused,
+            airborne=self.airborne,
+        )
+        findings = self._monitor.look(sight)
         for text in findings.alarms:
             self._note("alarm", text)
         for vehicle in findings.release:
             self._released[vehicle] = True
             self._station.commands.clear(vehicle)
-        self._landing.want(findings.land, now_ns)
-        self._landing.step(now_ns, poses, self._released)
+        if findings.land:
+            self._stay_ned_m[findings.land] = poses.pos_team_ned_m[findings.land]
+            self._landing.want_here(findings.land, now_ns)
         if findings.abort:
             # One reason for each vehicle, the first: what is found of it later follows from that, and only alarms.
             subject = findings.abort.partition(":")[0]
             follows = any(part.startswith(f"{subject}:") for part in self.reason.split("; "))
-            self._give_up(findings.abort, now_ns, follows=follows)
+            self._give_up(findings.abort, now_ns, urgent=findings.urgent, follows=follows)
+        if findings.silence:
+            self._abort(findings.silence)
+            self._enter(Phase.SILENT, now_ns)
+        poses = self._monitor.obstacles(poses, fleet, pose_ns, self._landing.asked, now_ns)
+        self._landing.step(now_ns, poses, self._released)
+        # Nobody stays under a vehicle that comes down.
+        sinking = poses.sinking | (self._landing.here & fleet.armed) | self._killing.falling(now_ns)
+        return replace(poses, sinking=sinking)
 
-    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False, follows: bool = False) -> None:
+    def _give_up(
+        self, reason: str, now_ns: int, *, stop: bool = False, urgent: bool = False, follows: bool = False
+    ) -> None:
         """Ends the mission early: on the ground at once, in the air by way of the pads.
 
         Args:
             reason: for the report.
             now_ns: time of the tick.
             stop: stand still for a moment first; not when somebody may have to get out of another one's way.
+            urgent: does not wait for the end of an operator's hold.
             follows: the reason only follows from one that was given before.
         """
         if not follows:
             self._abort(reason)
         if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
-        if self.phase is Phase.CONNECT:
+        if self.phase is Phase.PAUSE:
+            # A hold is the operator's: whatever stands below may be why. The team comes back when it is over.
+            self._resume_to, self._resume_phase_ns = Phase.RETURN, NEVER
+            if urgent:
+                self._enter(Phase.RETURN, now_ns)
+        elif self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
             for vehicle in range(self.plan.size):

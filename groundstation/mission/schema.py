@@ -102,7 +102,18 @@ class LimitsSpec(_Strict):
     arming_s: Positive = 60.0
     pad_error_m: Positive | None = None
     frame_drift_m: Positive | None = None
+    hold_s: Positive = 300.0
+    pose_jump_m: Positive | None = None
+    tilt_deg: Annotated[Number, Field(ge=10, le=180)] = 60.0
+    fence_beyond_m: Positive = 0.3
+    tracking_m_s: Positive | None = None
+    late_s: Positive = 1.0
+    lost_radius_m: NotNegative | None = None
     battery_min: Annotated[Number, Field(ge=0, lt=1)] = 0.2
+    battery_warn: Annotated[Number, Field(ge=0, lt=1)] | None = None
+    battery_land: Annotated[Number, Field(ge=0, lt=1)] | None = None
+    battery_min_v: Positive | None = None
+    battery_land_v: Positive | None = None
 
 
 class AnchorSpec(_Strict):
@@ -165,6 +176,7 @@ class MissionSpec(_Strict):
     takeoff: TakeoffSpec = TakeoffSpec()
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
     land: LandSpec = LandSpec()
+    on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
     limits: LimitsSpec = LimitsSpec()
     positioning: Literal["mocap", "rtk", "gps"] | None = None

@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Phase(Enum):
-    """What the team is doing."""
+    """What the team is doing; HOLD is a step of the mission, PAUSE what the operator's ``hold`` leads to."""
 
     CONNECT = "connect"
     ARM = "arm"
@@ -17,13 +17,14 @@ class Phase(Enum):
     FORM = "form"
     HOLD = "hold"
     STOP = "stop"
+    PAUSE = "pause"
     RETURN = "return"
     LAND = "land"
     SILENT = "silent"
     DONE = "done"
 
 
-AIRBORNE_PHASES = frozenset({Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.STOP, Phase.RETURN, Phase.LAND})
+AIRBORNE_PHASES = frozenset({Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.STOP, Phase.PAUSE, Phase.RETURN, Phase.LAND})
 FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD})
 
 
