@@ -61,6 +61,7 @@ class VehicleConfig:
         streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links) or "ardupilot".
         mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
         gps: whether it has a GPS receiver.
+        params: names and values of parameters that differ from the firmware's defaults.
     """
 
     sysid: int
@@ -72,6 +73,7 @@ class VehicleConfig:
     streams: str = "onboard"
     mavlink_version: int = 2
     gps: bool = True
+    params: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -440,7 +442,12 @@ class World:
     def _power_up(self, index: int) -> Autopilot:
         config = self.config.vehicles[index]
         kind = PERSONALITIES[config.autopilot]
-        return kind(self, index, config, self._boot_of(config.autopilot))
+        pilot = kind(self, index, config, self._boot_of(config.autopilot))
+        for name, value in config.params:
+            if name not in pilot.params:
+                raise ValueError(f"emulated vehicle {index + 1}: it has no parameter {name}")
+            pilot.params.set_value(name, value)
+        return pilot
 
     def _boot_of(self, autopilot: str) -> Boot:
         """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""
