@@ -16,6 +16,7 @@ import numpy as np
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import formation_error_m
+from groundstation.mission.failsafe import make_failsafe
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
@@ -27,7 +28,9 @@ _STREAMS = {"px4": "onboard", "arducopter": "ardupilot"}
 
 
 def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
-    """The mission's vehicles on the mission's pads, with the positions that the mission says they have.
+    """The mission's vehicles on the mission's pads, with the positions and the parameters that the mission asks for.
+
+    The parameters are those that ``gs check --fix`` would set; a firmware's own defaults are refused before arming.
 
     Args:
         plan: the mission.
@@ -45,6 +48,7 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     yaws = (
         np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
     )
+    wishes = make_failsafe(plan).wishes
     config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(
@@ -55,8 +59,9 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
                 streams=_STREAMS[vehicle.autopilot],
+                params=tuple(autopilot.failsafes.settings(wish).items()),
             )
-            for vehicle, yaw in zip(plan.spec.vehicles, yaws, strict=True)
+            for vehicle, yaw, autopilot, wish in zip(plan.spec.vehicles, yaws, plan.autopilots, wishes, strict=True)
         )
     )
     anchor = plan.spec.anchor

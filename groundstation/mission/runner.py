@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.assignment import assign_roles
 from groundstation.core.control import Task, task_for_roles
 from groundstation.core.metrics import formation_error_m, min_distance_m, vertical_orientation
 from groundstation.core.types import BoolArray, FloatArray, IntArray
@@ -417,11 +416,7 @@ class Runner:
     def _assign(self, poses: Poses) -> None:
         """Gives every vehicle its role, and its place in the air above its pad."""
         plan = self.plan
-        if plan.spec.assignment == "auto":
-            assignment = assign_roles(frames.enu_from_ned(poses.pos_team_ned_m), plan.formation)
-            roles = assignment.role_of_agent
-        else:
-            roles = np.arange(plan.size)
+        roles = self._preflight.checks.failsafe.roles  # from the pads: what the autopilots were told holds for these
         self.role_of_agent = roles
         self._task = task_for_roles(plan.formation, plan.gains, roles)
         self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))
