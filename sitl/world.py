@@ -63,6 +63,7 @@ class VehicleConfig:
         mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
         gps: whether it has a GPS receiver.
         signing_key: 32 bytes with which it signs, and without which nobody is obeyed; None for neither.
+        params: names and values of parameters that differ from the firmware's defaults.
     """
 
     sysid: int
@@ -75,6 +76,7 @@ class VehicleConfig:
     mavlink_version: int = 2
     gps: bool = True
     signing_key: bytes | None = field(default=None, repr=False)
+    params: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -463,7 +465,12 @@ class World:
     def _power_up(self, index: int) -> Autopilot:
         config = self.config.vehicles[index]
         kind = PERSONALITIES[config.autopilot]
-        return kind(self, index, config, self._boot_of(config.autopilot))
+        pilot = kind(self, index, config, self._boot_of(config.autopilot))
+        for name, value in config.params:
+            if name not in pilot.params:
+                raise ValueError(f"emulated vehicle {index + 1}: it has no parameter {name}")
+            pilot.params.set_value(name, value)
+        return pilot
 
     def _boot_of(self, autopilot: str) -> Boot:
         """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""

@@ -16,6 +16,7 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue
+from groundstation.mavlink.params import ParamDesk, ParamQuestion
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
 
 GROUND_STATION_SYSID = 255
@@ -49,6 +50,7 @@ class Station:
     ) -> None:
         self.fleet = fleet
         self.commands = CommandQueue(len(fleet))
+        self.parameters = ParamDesk(len(fleet))
         self.setpoints_sent = 0
         self._start_ns = start_ns
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
@@ -81,6 +83,8 @@ class Station:
             self.fleet.ingest(received)
         for ack in self.fleet.take_acks():
             self.commands.acknowledge(ack)
+        for value in self.fleet.take_param_values():
+            self.parameters.take(value)
 
     def send(self, vehicle: int, message: str, **fields: Any) -> None:
         """Puts one message, fields in wire units, into the next ``transmit``."""
@@ -119,6 +123,8 @@ class Station:
                     **params,
                 )
             )
+        for question in self.parameters.due(now_ns):
+            frames[question.vehicle].append(self._question(question))
         for vehicle, raw in self._extra:
             frames[vehicle].append(raw)
         self._extra.clear()
@@ -136,6 +142,16 @@ class Station:
             if peer_or_none is not None and frames[vehicle]:
                 outgoing.append(Outgoing(int(fleet.link[vehicle]), peer_or_none, tuple(frames[vehicle])))
         return outgoing
+
+    def _question(self, question: ParamQuestion) -> bytes:
+        target = {
+            "target_system": int(self.fleet.sysid[question.vehicle]),
+            "target_component": AUTOPILOT_COMPID,
+            "param_id": question.name,
+        }
+        if question.bits is None:
+            return self._encoder.encode("PARAM_REQUEST_READ", **target, param_index=-1)
+        return self._encoder.encode("PARAM_SET", **target, param_value=question.as_float, param_type=question.kind)
 
     def _one_per_peer(self) -> list[int]:
         """The first vehicle of every address that was heard from."""

@@ -22,6 +22,7 @@ from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.clocks import BootTimes, Clocks
 from groundstation.mavlink.codec import Batch, Frame, decode, message_id, message_name
+from groundstation.mavlink.params import ParamValue
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -120,6 +121,13 @@ class Fleet:
         status_ns: arrival of the last SYS_STATUS, shape (n,).
         battery_remaining: 0 to 1, NaN when not reported, shape (n,).
         battery_v: voltage of the pack, NaN when not reported, shape (n,).
+        sensors_enabled: MAV_SYS_STATUS_SENSOR bits in use, shape (n,).
+        sensors_healthy: those of them that are well, shape (n,).
+        estimator_flags: ESTIMATOR_STATUS_FLAGS or EKF_STATUS_FLAGS, which agree in what is used here; UNKNOWN before,
+            shape (n,).
+        estimator_ns: their arrival, shape (n,).
+        firmware: flight_sw_version of AUTOPILOT_VERSION: major, minor, patch, type, a byte each; UNKNOWN before,
+            shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
     """
 
@@ -151,6 +159,11 @@ class Fleet:
         self.status_ns = _times(n)
         self.battery_remaining: FloatArray = np.full(n, np.nan)
         self.battery_v: FloatArray = np.full(n, np.nan)
+        self.sensors_enabled: IntArray = np.zeros(n, dtype=np.int64)
+        self.sensors_healthy: IntArray = np.zeros(n, dtype=np.int64)
+        self.estimator_flags = _unknowns(n)
+        self.estimator_ns = _times(n)
+        self.firmware = _unknowns(n)
         self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
         self.clocks = Clocks(n)
         self.restarts: IntArray = np.zeros(n, dtype=np.int64)
@@ -158,6 +171,7 @@ class Fleet:
         self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
         self._acks: list[Ack] = []
         self._texts: list[Text] = []
+        self._params: list[ParamValue] = []
         self._timesync: list[TimesyncRequest] = []
         self._quaternion_ns = _times(n)
         self._position_times, self._place_times, self._attitude_times = BootTimes(n), BootTimes(n), BootTimes(n)
@@ -291,6 +305,11 @@ class Fleet:
         texts, self._texts = self._texts, []
         return texts
 
+    def take_param_values(self) -> list[ParamValue]:
+        """Hands out the parameters told since the last call."""
+        values, self._params = self._params, []
+        return values
+
     def take_timesync_requests(self) -> list[TimesyncRequest]:
         """Hands out the questions for our clock since the last call."""
         requests, self._timesync = self._timesync, []
@@ -407,7 +426,24 @@ class Fleet:
         )
         millivolts = values["voltage_battery"].astype(np.float64)
         self.battery_v[row] = np.where((millivolts == 0) | (millivolts == _VOLTAGE_UNKNOWN), np.nan, millivolts * 1e-3)
+        self.sensors_enabled[row] = values["onboard_control_sensors_enabled"]
+        self.sensors_healthy[row] = values["onboard_control_sensors_health"]
         self.status_ns[row] = t_ns
+
+    def _estimator(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        self.estimator_flags[row] = batch.values["flags"]
+        self.estimator_ns[row] = t_ns
+
+    def _version(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+        self.firmware[row] = batch.values["flight_sw_version"]
+
+    def _param_value(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        bits = np.ascontiguousarray(batch.values["param_value"]).view(np.uint32)  # never by way of another float
+        for values, value_bits, vehicle, t in zip(
+            batch.values, bits.tolist(), row.tolist(), t_ns.tolist(), strict=True
+        ):
+            name = bytes(values["param_id"]).decode("ascii", "replace")
+            self._params.append(ParamValue(vehicle, name, value_bits, int(values["param_type"]), t))
 
     def _extended_state(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
         self.landed_state[row] = batch.values["landed_state"]
@@ -448,6 +484,10 @@ _HANDLERS = {
     "ATTITUDE": Fleet._attitude_euler,
     "SYS_STATUS": Fleet._sys_status,
     "EXTENDED_SYS_STATE": Fleet._extended_state,
+    "ESTIMATOR_STATUS": Fleet._estimator,
+    "EKF_STATUS_REPORT": Fleet._estimator,
+    "AUTOPILOT_VERSION": Fleet._version,
+    "PARAM_VALUE": Fleet._param_value,
     "COMMAND_ACK": Fleet._command_ack,
     "STATUSTEXT": Fleet._statustext,
     "TIMESYNC": Fleet._timesync_message,

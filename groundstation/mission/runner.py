@@ -276,7 +276,7 @@ class Runner:
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
-            self._flight.assign(poses)
+            self._flight.assign(self._preflight.checks.failsafe.roles)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:

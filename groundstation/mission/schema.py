@@ -116,6 +116,15 @@ class LimitsSpec(_Strict):
     battery_land_v: Positive | None = None
 
 
+class FailsafeSpec(_Strict):
+    """What the team does when nobody steers it any more, and whether its parameters are set to that."""
+
+    action: Literal["auto", "return", "land", "hold", "own"] = "auto"
+    hold_s: Annotated[Number, Field(ge=10, le=60)] = 20.0
+    ceiling_m: Positive | None = None
+    set_parameters: bool = False
+
+
 class AnchorSpec(_Strict):
     """Where on earth the team frame has its origin: degrees, and metres above sea level."""
 
@@ -148,6 +157,7 @@ class VehicleSpec(_Strict):
     origin: Literal["pad", "team", "gps", "declared"] = "pad"
     origin_m: Point | None = None
     position: Literal["local", "global"] = "local"
+    endurance_s: Positive | None = None
 
     @model_validator(mode="after")
     def _declared(self) -> VehicleSpec:
@@ -179,6 +189,7 @@ class MissionSpec(_Strict):
     on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
     limits: LimitsSpec = LimitsSpec()
+    failsafe: FailsafeSpec = FailsafeSpec()
     positioning: Literal["mocap", "rtk", "gps"] | None = None
     position_error_m: Positive | None = None
     anchor: AnchorSpec | None = None
