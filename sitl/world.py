@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.mavlink.codec import Frame, FrameSplitter, encode_batch, message_id
+from groundstation.mavlink.codec import Frame, Splitters, encode_batch, message_id
 from sitl import frames, messages_ardupilot
 from sitl.ardupilot import ArduCopter
 from sitl.autopilot import Autopilot, Boot
@@ -30,6 +30,7 @@ from sitl.network import PERFECT, Channel, LinkConfig
 from sitl.profiles import PROFILES, Profile
 from sitl.protocol import V1_LAST_ID
 from sitl.px4 import Px4
+from sitl.signing import VehicleSigning
 from sitl.telemetry import Streams, View
 
 SECOND = 1_000_000_000
@@ -61,6 +62,8 @@ class VehicleConfig:
         streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links), "ardupilot" or "quiet".
         mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
         gps: whether it has a GPS receiver.
+        signing_key: 32 bytes with which it signs, and without which nobody is obeyed; None for neither.
+        params: names and values of parameters that differ from the firmware's defaults.
     """
 
     sysid: int
@@ -72,6 +75,8 @@ class VehicleConfig:
     streams: str = "onboard"
     mavlink_version: int = 2
     gps: bool = True
+    signing_key: bytes | None = field(default=None, repr=False)
+    params: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -146,6 +151,7 @@ class _Arrival:
     vehicle: int = field(compare=False)
     peer: str = field(compare=False)
     data: bytes = field(compare=False)
+    stream: bool = field(compare=False, default=False)
 
 
 class World:
@@ -164,6 +170,7 @@ class World:
         talking: has sent its first bytes, shape (n,).
         frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
         motor_share: thrust that the motors can give (faults), 1 when sound, shape (n,).
+        signing: signatures of each vehicle.
         frame_errors: frames of each vehicle whose handling failed; they are dropped and end nothing.
     """
 
@@ -211,7 +218,10 @@ class World:
         self._order = 0
         self._sent: list[Outgoing] = []
         self._pending: dict[int, list[bytes]] = {}
-        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
+        self.signing = [
+            VehicleSigning(vehicle.signing_key, self.unix_us() if vehicle.gps else 0) for vehicle in config.vehicles
+        ]
         self._view: View | None = None
         self._next_tick_ns = self.now_ns
         self._rng_boot = rng_boot
@@ -236,12 +246,9 @@ class World:
             ground_station: any name that tells senders apart.
             stream: the sender's frames may come in pieces (TCP).
         """
-        key = (vehicle_index, ground_station)
-        if key not in self._splitters:
-            self._splitters[key] = FrameSplitter(datagrams=not stream)
         for t_ns, arrived in self._uplinks[vehicle_index].carry(now_ns, data):
             self._order += 1
-            heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived))
+            heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived, stream))
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """Moves the world to a time, in whole physics steps.
@@ -383,10 +390,12 @@ class World:
             self._sent.append(Outgoing(late.t_ns, late.vehicle, late.data))
 
     def _hand_over(self, arrival: _Arrival) -> None:
-        pieces = self._splitters[arrival.vehicle, arrival.peer].feed(arrival.data)
+        pieces = self._splitters.feed((arrival.vehicle, arrival.peer), arrival.data, stream=arrival.stream)
         for piece in pieces:
             pilot = self.autopilots[arrival.vehicle]  # a reboot in between makes a new one
             if isinstance(piece, Frame) and pilot.powered and self.talking[arrival.vehicle]:
+                if not self.signing[arrival.vehicle].accepts(piece):
+                    continue
                 try:
                     pilot.receive(piece)
                 except Exception:  # whatever one sender's frame does, the other vehicles fly on
@@ -424,6 +433,11 @@ class World:
             return
         pending, self._pending = self._pending, {}
         for index in sorted(pending):
+            signing = self.signing[index]
+            if signing.on:
+                if self.has_gps[index]:
+                    signing.date(self.unix_us())
+                pending[index] = [signing.sign(frame) for frame in pending[index]]
             for data in _datagrams(pending[index]):
                 channel = self._downlinks[index]
                 if channel.config is PERFECT:
@@ -451,7 +465,12 @@ class World:
     def _power_up(self, index: int) -> Autopilot:
         config = self.config.vehicles[index]
         kind = PERSONALITIES[config.autopilot]
-        return kind(self, index, config, self._boot_of(config.autopilot))
+        pilot = kind(self, index, config, self._boot_of(config.autopilot))
+        for name, value in config.params:
+            if name not in pilot.params:
+                raise ValueError(f"emulated vehicle {index + 1}: it has no parameter {name}")
+            pilot.params.set_value(name, value)
+        return pilot
 
     def _boot_of(self, autopilot: str) -> Boot:
         """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""

@@ -20,6 +20,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
     "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),
     "check": ("fly", "Check a mission and its vehicles on their pads; arm nothing."),
+    "signing": ("signing", "Make a key that MAVLink frames are signed with, give it to vehicles."),
     "design": ("design", "Design the gains of a formation."),
     "sitl": ("sitl", "Run emulated vehicles for any ground station."),
     "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),

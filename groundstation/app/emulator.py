@@ -14,8 +14,10 @@ from threading import Event, Thread
 import numpy as np
 
 from groundstation.app.session import Session
+from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import formation_error_m
+from groundstation.mission.failsafe import make_failsafe
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
@@ -27,7 +29,9 @@ _STREAMS = {"px4": "onboard", "arducopter": "ardupilot"}
 
 
 def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
-    """The mission's vehicles on the mission's pads, with the positions that the mission says they have.
+    """The mission's vehicles on the mission's pads, with the positions and the parameters that the mission asks for.
+
+    The parameters are those that ``gs check --fix`` would set; a firmware's own defaults are refused before arming.
 
     Args:
         plan: the mission.
@@ -45,6 +49,9 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     yaws = (
         np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
     )
+    keys = read_keys(plan)
+    key_of_vehicle = [keys[link] for link in plan.link_of_vehicle]
+    wishes = make_failsafe(plan).wishes
     config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(
@@ -55,8 +62,12 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
                 streams=_STREAMS[vehicle.autopilot],
+                signing_key=None if key is None else key.setup_bytes(),
+                params=tuple(autopilot.failsafes.settings(wish).items()),
             )
-            for vehicle, yaw in zip(plan.spec.vehicles, yaws, strict=True)
+            for vehicle, yaw, key, autopilot, wish in zip(
+                plan.spec.vehicles, yaws, key_of_vehicle, plan.autopilots, wishes, strict=True
+            )
         )
     )
     anchor = plan.spec.anchor

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 
 from groundstation.mavlink.codec import message_id
 from groundstation.mavlink.commands import Command
+from groundstation.mavlink.failsafes import ArduCopterFailsafes, Failsafes, Px4Failsafes
 
 CMD_NAV_LAND = 21
 CMD_NAV_TAKEOFF = 22
@@ -35,6 +36,16 @@ class Autopilot(ABC):
     """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
     chatter: tuple[str, ...] = ()
     """Streams that it may send unasked and that nobody here needs; stopped on narrow links."""
+    params_bytewise = False
+    """Whether integer parameters lie in the bytes of the float that they travel in; else they are cast to it."""
+    estimator_message: str
+    """Message that tells how its estimator does."""
+    oldest: tuple[int, int]
+    """Version before which what is relied on here was not there."""
+    tried: tuple[int, int]
+    """Version from which on failsafes act as described in docs/preflight.md."""
+    failsafes: Failsafes
+    """What its parameters should say about flying on without us."""
 
     def arm(self) -> Command:
         """Command that arms, with the autopilot's own checks."""
@@ -107,6 +118,10 @@ class Px4(Autopilot):
     name = "px4"
     mav_autopilot = 12  # MAV_AUTOPILOT_PX4
     takes_origin = True
+    params_bytewise = True
+    estimator_message = "ESTIMATOR_STATUS"
+    oldest, tried = (1, 12), (1, 14)
+    failsafes = Px4Failsafes()
     chatter = (
         "ATTITUDE", "HIGHRES_IMU", "ODOMETRY", "ALTITUDE", "VFR_HUD", "POSITION_TARGET_LOCAL_NED", "GPS_RAW_INT",
         "TIMESYNC", "ESTIMATOR_STATUS", "BATTERY_STATUS", "HOME_POSITION", "SYSTEM_TIME",
@@ -157,6 +172,9 @@ class ArduCopter(Autopilot):
 
     name = "arducopter"
     mav_autopilot = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
+    estimator_message = "EKF_STATUS_REPORT"
+    oldest, tried = (4, 0), (4, 3)
+    failsafes = ArduCopterFailsafes()
     _GUIDED, _LAND = 4, 9
     _NAMES = {  # noqa: RUF012 - never written to
         0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",

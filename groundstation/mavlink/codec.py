@@ -4,13 +4,14 @@ Layouts, sizes and CRC extras are read off pymavlink's generated message classes
 contains ``common``); no wire table is typed here. Values stay in wire units (mm, degE7, ...): whoever knows the
 meaning of a field converts it. A bad packet is returned as bytes that were no frame, never raised.
 
-Refuses to check or make signatures (only their presence is told), and to know any vehicle, socket or clock.
+Refuses to check or make signatures (only their presence is told; see ``signing``), and to know any vehicle, socket or
+clock.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple
@@ -218,6 +219,34 @@ class FrameSplitter:
         return pieces
 
 
+class Splitters:
+    """One splitter for every source whose frames may come in pieces, and a bound on what they take.
+
+    Datagrams are whole, so that nothing has to be kept of who sends them, however many there are. Of streams the one
+    that was silent for longest is forgotten for a new one; it loses at most the frame that it was in the middle of.
+
+    Args:
+        most: streams that are kept apart.
+    """
+
+    def __init__(self, most: int = 256) -> None:
+        self._most = most
+        self._whole = FrameSplitter()
+        self._streams: dict[Hashable, FrameSplitter] = {}
+
+    def feed(self, source: Hashable, data: bytes, *, stream: bool) -> list[Frame | bytes]:
+        """Takes what arrived from a source; see ``FrameSplitter.feed``."""
+        if not stream:
+            return self._whole.feed(data)
+        splitter = self._streams.pop(source, None)
+        if splitter is None:
+            splitter = FrameSplitter(datagrams=False)
+            if len(self._streams) >= self._most:
+                del self._streams[next(iter(self._streams))]
+        self._streams[source] = splitter  # last in the order, as the one heard most recently
+        return splitter.feed(data)
+
+
 _INCOMPLETE = object()
 
 
@@ -249,6 +278,27 @@ def _frame_at(buffer: bytes, start: int) -> Frame | object | None:
         return None
     payload = buffer[start + header : body_end]
     return Frame(msgid, sysid, compid, seq, payload, buffer[start:frame_end], version, signed)
+
+
+def flagged(raw: bytes, *, signed: bool) -> bytes:
+    """A MAVLink 2 frame with its signature flag set or cleared, the checksum that belongs to that, no signature.
+
+    Args:
+        raw: a whole frame, signed or not. MAVLink 1 and ids that the dialect does not know come back as they are.
+        signed: what the flag shall say; the signature itself is the caller's to append.
+    """
+    if raw[0] != MAGIC_V2:
+        return raw
+    extra = _crc_extra_bytes().get(int.from_bytes(raw[7:10], "little"))
+    if extra is None:
+        return raw
+    body_end = _HEADER_V2 + raw[1]
+    flags = raw[2] | INCOMPAT_SIGNED if signed else raw[2] & ~INCOMPAT_SIGNED
+    if flags == raw[2]:
+        return raw[: body_end + _CRC_BYTES]
+    body = raw[1:2] + bytes((flags,)) + raw[3:body_end]
+    checksum: int = crc16.mcrf4xx(body + extra)
+    return raw[:1] + body + checksum.to_bytes(2, "little")
 
 
 def decode(frames: Sequence[Frame]) -> list[Batch]:

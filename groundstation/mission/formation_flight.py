@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.assignment import assign_roles
 from groundstation.core.control import Task, task_for_roles
 from groundstation.core.metrics import formation_error_m, vertical_orientation
 from groundstation.core.types import BoolArray, FloatArray, IntArray
@@ -74,14 +73,13 @@ class FormationFlight:
         self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
 
-    def assign(self, poses: Poses) -> None:
-        """Gives every vehicle its role, and its place in the air above its pad."""
+    def assign(self, roles: IntArray) -> None:
+        """Gives every vehicle its role, and its place in the air above its pad.
+
+        Args:
+            roles: role per vehicle, shape (n,): those that the autopilots' failsafe heights were set for.
+        """
         plan = self._plan
-        if plan.spec.assignment == "auto":
-            assignment = assign_roles(frames.enu_from_ned(poses.pos_team_ned_m), plan.formation)
-            roles = assignment.role_of_agent
-        else:
-            roles = np.arange(plan.size)
         self.role_of_agent = roles
         self._task = task_for_roles(plan.formation, plan.gains, roles)
         numbers = " ".join(str(role + 1) for role in roles)

@@ -150,6 +150,23 @@ class MissionPlan:
         """Message type that a vehicle's positions come in."""
         return _POSITION_MESSAGES[self.spec.vehicles[vehicle].position]
 
+    def key_file(self, link: int) -> str | None:
+        """File with the signing key of a link, as the mission names it; None for a link that is not signed."""
+        return _key_file(self.spec, self.links[link])
+
+    @property
+    def signed_links(self) -> tuple[int, ...]:
+        """Links on which everything is signed."""
+        return tuple(link for link in range(len(self.links)) if self.key_file(link) is not None)
+
+    def link_id(self, link: int) -> int:
+        """Link id in our signatures on a link: as the mission says, or the link's number, counted on from its own."""
+        signing = self.spec.signing
+        own = signing.links.get(self.links[link]) if signing is not None else None
+        if own is not None and own.link_id is not None:
+            return own.link_id
+        return ((signing.link_id or 0) + link) % 256 if signing is not None else 0
+
     def uses_gps(self, vehicle: int) -> bool:
         """Whether a vehicle's place in the team frame comes from its place on earth."""
         spec = self.spec.vehicles[vehicle]
@@ -240,6 +257,7 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     _check_room(spec, formation, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
+    _check_signing(spec, addresses, source)
     rates = _fit_links(spec, addresses, source)
     profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
@@ -315,11 +333,38 @@ def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str)
                     setpoint_hz=spec.rate_hz,
                     position=position,
                     cross_check=any(v.position == "local" and v.origin == "gps" for v in users),
+                    signed=_key_file(spec, address.url) is not None,
                 )
             )
         except UserError as error:
             raise UserError(f"{source}: {error}") from None
     return tuple(fitted)
+
+
+def _key_file(spec: MissionSpec, link: str) -> str | None:
+    if spec.signing is None:
+        return None
+    own = spec.signing.links.get(link)
+    return spec.signing.key_file if own is None else own.key_file
+
+
+def _check_signing(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> None:
+    if spec.signing is None:
+        return
+    for link in spec.signing.links:
+        if link not in {address.url for address in addresses}:
+            raise UserError(f"{source}: signing.links: {link}: no vehicle uses this link; correct it or leave it out")
+    signed = [address for address in addresses if _key_file(spec, address.url) is not None]
+    if not signed:
+        raise UserError(
+            f"{source}: signing.key_file: is missing, no link would be signed; name one, or leave signing out"
+        )
+    for address in signed:
+        if address.through_mavsdk:
+            raise UserError(
+                f"{source}: signing: {address.url}: MAVSDK sends setpoints by itself, which cannot be signed here; use"
+                f" {address.url.removeprefix('mavsdk://')}, or give the link key_file: null in signing.links"
+            )
 
 
 def _override(values: dict[str, Any], override: str) -> None:

@@ -20,6 +20,9 @@ class VehicleProfile:
         delay_s: from the telemetry's instant to the setpoint taking effect.
         acceleration_max_m_s2: what it reaches horizontally while holding height.
         position_error_m: standard deviation of its position estimate against the others', one axis.
+        endurance_s: hovering time on a full battery.
+        climb_m_s: what it climbs and sinks at least when it returns by itself.
+        cruise_m_s: its speed at least when it returns by itself.
     """
 
     name: str
@@ -27,16 +30,28 @@ class VehicleProfile:
     delay_s: float
     acceleration_max_m_s2: float
     position_error_m: float
+    endurance_s: float
+    climb_m_s: float
+    cruise_m_s: float
 
 
 PROFILES: dict[str, VehicleProfile] = {
     profile.name: profile
     for profile in (
-        VehicleProfile("crazyflie", lag_s=0.2, delay_s=0.05, acceleration_max_m_s2=4.0, position_error_m=0.01),
-        VehicleProfile("px4_quad", lag_s=1.0, delay_s=0.1, acceleration_max_m_s2=3.0, position_error_m=0.02),
-        VehicleProfile("arducopter", lag_s=0.9, delay_s=0.1, acceleration_max_m_s2=2.5, position_error_m=0.02),
+        VehicleProfile(
+            "crazyflie", lag_s=0.2, delay_s=0.05, acceleration_max_m_s2=4.0, position_error_m=0.01,
+            endurance_s=360.0, climb_m_s=0.8, cruise_m_s=1.0,
+        ),
+        VehicleProfile(
+            "px4_quad", lag_s=1.0, delay_s=0.1, acceleration_max_m_s2=3.0, position_error_m=0.02,
+            endurance_s=1200.0, climb_m_s=1.4, cruise_m_s=3.0,
+        ),
+        VehicleProfile(
+            "arducopter", lag_s=0.9, delay_s=0.1, acceleration_max_m_s2=2.5, position_error_m=0.02,
+            endurance_s=1200.0, climb_m_s=1.4, cruise_m_s=3.0,
+        ),
     )
-}
+}  # fmt: skip
 
 
 def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
@@ -48,4 +63,7 @@ def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
         delay_s=max(item.delay_s for item in items),
         acceleration_max_m_s2=min(item.acceleration_max_m_s2 for item in items),
         position_error_m=max(item.position_error_m for item in items),
+        endurance_s=min(item.endurance_s for item in items),
+        climb_m_s=min(item.climb_m_s for item in items),
+        cruise_m_s=min(item.cruise_m_s for item in items),
     )

@@ -256,6 +256,7 @@ class Runner:
                 self._enter(Phase.DONE, now_ns)
             else:
                 self._frame.settle(self.fleet, now_ns)
+                self.fleet.hold_addresses(plan.signed_links)
                 self._monitor.begin(self.fleet)
                 self._yaw_ned_rad = frames.yaw_ned_from_quat(self.fleet.quat_ned_from_frd)
                 for line in self._frame.words():
@@ -276,7 +277,7 @@ class Runner:
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
-            self._flight.assign(poses)
+            self._flight.assign(self._preflight.checks.failsafe.roles)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:

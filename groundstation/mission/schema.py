@@ -116,12 +116,34 @@ class LimitsSpec(_Strict):
     battery_land_v: Positive | None = None
 
 
+class FailsafeSpec(_Strict):
+    """What the team does when nobody steers it any more, and whether its parameters are set to that."""
+
+    action: Literal["auto", "return", "land", "hold", "own"] = "auto"
+    hold_s: Annotated[Number, Field(ge=10, le=60)] = 20.0
+    ceiling_m: Positive | None = None
+    set_parameters: bool = False
+
+
 class AnchorSpec(_Strict):
     """Where on earth the team frame has its origin: degrees, and metres above sea level."""
 
     lat_deg: Annotated[float, Field(ge=-89, le=89)]
     lon_deg: Annotated[float, Field(ge=-180, le=180)]
     alt_m: Annotated[float, Field(ge=-500, le=9000)]
+
+
+class LinkSigningSpec(_Strict):
+    """Signing of one link; ``key_file: null`` leaves it unsigned."""
+
+    key_file: Annotated[str, Field(min_length=1)] | None = None
+    link_id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=0, le=255)] | None = None
+
+
+class SigningSpec(LinkSigningSpec):
+    """MAVLink 2 signing: of all links, and of single ones that differ, by address."""
+
+    links: dict[str, LinkSigningSpec] = {}
 
 
 class VehicleSpec(_Strict):
@@ -135,6 +157,7 @@ class VehicleSpec(_Strict):
     origin: Literal["pad", "team", "gps", "declared"] = "pad"
     origin_m: Point | None = None
     position: Literal["local", "global"] = "local"
+    endurance_s: Positive | None = None
 
     @model_validator(mode="after")
     def _declared(self) -> VehicleSpec:
@@ -166,10 +189,12 @@ class MissionSpec(_Strict):
     on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
     limits: LimitsSpec = LimitsSpec()
+    failsafe: FailsafeSpec = FailsafeSpec()
     positioning: Literal["mocap", "rtk", "gps"] | None = None
     position_error_m: Positive | None = None
     anchor: AnchorSpec | None = None
     set_gps_origin: bool = False
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
+    signing: SigningSpec | None = None
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]

@@ -17,12 +17,22 @@ from types import TracebackType
 from typing import Protocol
 
 from groundstation.core.errors import UserError
-from groundstation.mavlink.codec import MAGIC_V1, MAGIC_V2, Encoder, Frame, FrameSplitter, message_id, message_name
+from groundstation.mavlink.codec import (
+    MAGIC_V1,
+    MAGIC_V2,
+    Encoder,
+    Frame,
+    FrameSplitter,
+    Splitters,
+    message_id,
+    message_name,
+)
 from groundstation.records.notes import (
     FORMAT_VERSION,
     NOISE_BYTES,
     NOISE_SUBJECT,
     OWN_SUBJECT,
+    REFUSED_SUBJECT,
     Event,
     Kind,
     Noise,
@@ -30,6 +40,7 @@ from groundstation.records.notes import (
     Origin,
     Received,
     Record,
+    Refused,
     Roles,
     Sent,
     pack_header,
@@ -53,7 +64,9 @@ _FLUSH_BYTES = 1 << 16
 LATEST_UNIX_US = 4_102_444_800_000_000  # 2100-01-01
 _NEAR_US = 86_400_000_000  # one day: neighbours in a log are nearer than that
 _MAGIC = re.compile(b"[\xfd\xfe]")
-_SIGNING_FRAME = re.compile(rb"\xfd.{6}\x00\x01\x00.*", re.DOTALL)
+_SIGNING_HEADER = re.compile(rb"\xfd.{6}\x00\x01\x00", re.DOTALL)
+_SIGNING_BYTES = 10 + 42 + 2 + 13  # header, payload with the key, checksum, signature
+_SECRETS_MAX = 256
 
 
 class Sink(Protocol):
@@ -102,8 +115,8 @@ class TlogWriter:
         self._sender = (sysid, compid)
         self._notes = Encoder(sysid, compid)
         self._stream_links = frozenset(stream_links)
-        self._datagrams = FrameSplitter()
-        self._streams: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
+        self._secrets: dict[tuple[int, str], tuple[bytes, int]] = {}
         self._origins: dict[int, tuple[int, str]] = {}
         self._buffer = bytearray()
         self._flushed_ns: int | None = None
@@ -131,10 +144,7 @@ class TlogWriter:
         """
         if self.problem is not None:
             return
-        splitter = self._datagrams
-        if link in self._stream_links:
-            splitter = self._streams.setdefault((link, peer), FrameSplitter(datagrams=False))
-        for piece in splitter.feed(data):
+        for piece in self._splitters.feed((link, peer), data, stream=link in self._stream_links):
             if not isinstance(piece, Frame):
                 self._noise(link, peer, piece, t_ns)
             elif piece.msgid != _SETUP_SIGNING:
@@ -145,9 +155,17 @@ class TlogWriter:
                     self._origin(subject, link, peer, t_ns)
                 self._write(piece.raw, t_ns)
 
+    def refused(self, link: int, peer: str, frame: Frame, why: int, t_ns: int) -> None:
+        """Records a frame that arrived and was not let in; see ``notes.Refused``."""
+        if frame.msgid == _SETUP_SIGNING:
+            return
+        if self._origins.get(REFUSED_SUBJECT) != (link, peer):
+            self._origin(REFUSED_SUBJECT, link, peer, t_ns)
+        self._note_pieces(Kind.REFUSED, pack_text(bytes((why,)) + frame.raw), t_ns)
+
     def sent(self, frame: bytes, t_ns: int) -> None:
         """Records one frame that went out."""
-        if not _SIGNING_FRAME.match(frame):
+        if not _SIGNING_HEADER.match(frame):
             self._write(frame, t_ns)
 
     def tick(self, t_ns: int, number: int) -> None:
@@ -182,9 +200,24 @@ class TlogWriter:
     def _noise(self, link: int, peer: str, data: bytes, t_ns: int) -> None:
         if self._origins.get(NOISE_SUBJECT) != (link, peer):
             self._origin(NOISE_SUBJECT, link, peer, t_ns)
-        # A damaged SETUP_SIGNING may still show the key: from its header on only the number of bytes is kept.
-        data = _SIGNING_FRAME.sub(lambda match: bytes(len(match[0])), data)
-        self._note_pieces(Kind.NOISE, pack_text(data, NOISE_BYTES), t_ns)
+        self._note_pieces(Kind.NOISE, pack_text(self._without_keys((link, peer), data), NOISE_BYTES), t_ns)
+
+    def _without_keys(self, source: tuple[int, str], data: bytes) -> bytes:
+        """Zeroes what may be the rest of a damaged SETUP_SIGNING, which still shows the key; also in pieces."""
+        tail, owed = self._secrets.pop(source, (b"", 0))
+        joined = tail + data
+        shown = bytes(min(owed, len(data))) + data[owed:]
+        owed = max(owed - len(data), 0)
+        header = _SIGNING_HEADER.search(joined)
+        if header is not None:
+            start = max(header.start() - len(tail), 0)
+            shown = shown[:start] + bytes(len(data) - start)
+            owed = max(owed, _SIGNING_BYTES - (len(joined) - header.start()), 0)
+        if owed or 0xFD in joined[-9:]:
+            if len(self._secrets) >= _SECRETS_MAX:
+                del self._secrets[next(iter(self._secrets))]
+            self._secrets[source] = (joined[-9:], owed)
+        return shown
 
     def _origin(self, subject: int, link: int, peer: str, t_ns: int) -> None:
         self._origins[subject] = (link, peer)
@@ -305,6 +338,8 @@ class TlogReader:
     def _foreign_records(self) -> Iterator[Record]:
         """Everything is received but what bears the system id that ground stations use."""
         for stamp_us, frame in self._frames():
+            if frame.msgid == _SETUP_SIGNING:  # other programs may have written it: it is not handed on
+                continue
             t_ns = (stamp_us - self.epoch_unix_us) * 1000
             yield Sent(t_ns, frame) if frame.sysid == GROUND_SYSID else Received(t_ns, 0, "", frame)
 
@@ -423,6 +458,9 @@ class _Assembler:
     def _take_noise(self, t_ns: int, data: bytes) -> Record:
         return Noise(t_ns, *self.origins.get(NOISE_SUBJECT, (0, "")), data)
 
+    def _take_refused(self, t_ns: int, joined: bytes) -> Record | None:
+        return Refused(t_ns, *self.origins.get(REFUSED_SUBJECT, (0, "")), joined[0], joined[1:]) if joined else None
+
     def _take_operator(self, t_ns: int, text: bytes) -> Record:
         return Operator(t_ns, text.decode(errors="replace"))
 
@@ -435,6 +473,7 @@ _IN_PARTS: dict[int, Callable[[_Assembler, int, bytes], Record | None]] = {
     Kind.NOISE: _Assembler._take_noise,
     Kind.OPERATOR: _Assembler._take_operator,
     Kind.EVENT: _Assembler._take_event,
+    Kind.REFUSED: _Assembler._take_refused,
 }
 
 

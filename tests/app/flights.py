@@ -9,6 +9,7 @@ from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
+from groundstation.app.signing import open_gate
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Note, Phase, Runner
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
@@ -44,7 +45,8 @@ class Flight:
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self.runner = Runner(plan, 0)
+        self.gate = open_gate(plan, 0, keep_times=False)
+        self.runner = Runner(plan, 0, whole_frames=self.gate is not None)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -57,7 +59,7 @@ class Flight:
         self._begin_ns = self.world.now_ns
         self._limit_ns = round(limit_s * SECOND_NS)
         writer = TlogWriter(log, 0) if log is not None else None
-        self.session = Session(self.runner, writer)
+        self.session = Session(self.runner, writer, self.gate)
         fly_virtual(
             self.session,
             self,

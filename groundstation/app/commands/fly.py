@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
@@ -19,6 +20,7 @@ from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
+from groundstation.app.signing import FlightGate, open_gate
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 from groundstation.links.opening import open_link
 from groundstation.mission.plan import MissionPlan, load_mission
@@ -92,9 +94,12 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     out = Output(as_json=as_json)
     plan = load_mission(find_config(mission, "missions"), changes or ())
     clock = FlightClock()
-    session = Session(Runner(plan, 0, check_only=True), None)
+    gate = open_gate(plan, clock.epoch_unix_us, keep_times=True)
+    session = Session(Runner(plan, 0, check_only=True, whole_frames=gate is not None), None, gate)
     interrupts = Interrupts()
     with ExitStack() as stack:
+        if gate is not None:
+            stack.callback(gate.close)
         links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
         display = stack.enter_context(FlightDisplay(out.console, plan, links))
         stack.enter_context(interrupts.listening())
@@ -108,14 +113,33 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     for vehicle in plan.spec.vehicles:
         table.add_row(str(vehicle.id), problems.get(f"vehicle {vehicle.id}", "ready"))
     out.console.print(table)
-    out.result({"mission": plan.spec.name, "ready": runner.outcome == "completed", "problems": runner.problems})
+    refused = _refused(plan, gate)
+    if runner.outcome == "completed":  # else they are among the reasons
+        for line in refused:
+            out.console.print(Text(line, style="bold red"))
+    out.result(
+        {
+            "mission": plan.spec.name,
+            "ready": runner.outcome == "completed",
+            "problems": runner.problems,
+            "signing": refused,
+        }
+    )
     if runner.outcome != "completed":
-        raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles])))
+        raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles, *refused])))
 
 
 def _refusal(reason: str) -> str:
-    lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ")
+    lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ").replace("; system", "\n  system")
     return "preflight refused, nothing was armed:\n  " + lines
+
+
+def _refused(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
+    """What signing left out, a line for each sender and reason, and whether its times could be kept."""
+    if gate is None:
+        return []
+    link_of = {vehicle.id: link for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)}
+    return [*gate.words(plan.links, link_of), *([gate.problem] if gate.problem else [])]
 
 
 def _period_ns(plan: MissionPlan) -> int:
@@ -141,8 +165,9 @@ def _dry_run(
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
+    gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
     with _recording(log_path, manifest, plan) as log:
-        session = Session(Runner(plan, 0), log)
+        session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
         interrupts = Interrupts()
         with FlightDisplay(out.console, plan) as display, interrupts.listening():
             fly_virtual(
@@ -154,7 +179,8 @@ def _dry_run(
                 pace=wall_clock_pace() if realtime else None,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | _for_the_record(session.runner)))
+    _tell_refused(out, values, plan, gate)
+    write_manifest(manifest_path(log_path), manifest.finished(values | _for_the_record(session.runner, gate)))
     return values
 
 
@@ -168,16 +194,20 @@ def _real_flight(
         if emulated_seed is not None:
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
         clock = FlightClock()
+        gate = open_gate(plan, clock.epoch_unix_us, keep_times=emulated_seed is None)
+        if gate is not None:
+            stack.callback(gate.close)
         manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
         log = stack.enter_context(_recording(log_path, manifest, plan))
-        session = Session(Runner(plan, 0), log)
+        session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
         interrupts = Interrupts()
         with FlightDisplay(out.console, plan, links) as display, interrupts.listening():
             watchers = (display,) if meter is None else (display, meter)
             fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
         values = _values(session.runner, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
-        record = _for_the_record(session.runner)
+        _tell_refused(out, values, plan, gate)
+        record = _for_the_record(session.runner, gate)
         for url, link in zip(plan.links, links, strict=True):
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
@@ -201,7 +231,8 @@ def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_ru
 def _recording(log_path: Path, manifest: Manifest, plan: MissionPlan) -> Iterator[TlogWriter]:
     """Opens the log with its manifest, so that a flight that ends badly leaves both."""
     write_manifest(manifest_path(log_path), manifest)
-    with TlogWriter(log_path, manifest.epoch_unix_us, stream_links=plan.stream_links) as log:
+    streams = () if plan.spec.signing is not None else plan.stream_links  # the gate hands on whole frames
+    with TlogWriter(log_path, manifest.epoch_unix_us, stream_links=streams) as log:
         yield log
 
 
@@ -231,9 +262,20 @@ def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
     }
 
 
-def _for_the_record(runner: Runner) -> dict[str, Any]:
+def _for_the_record(runner: Runner, gate: FlightGate | None) -> dict[str, Any]:
     """What the manifest keeps beside the figures: events that were only counted, and where local frames begin."""
-    return {"counts": dict(runner.fleet.counts), "local_origins_enu_m": runner.local_origins_enu_m}
+    refused = gate.totals() if gate is not None else {}
+    return {"counts": dict(runner.fleet.counts) | refused, "local_origins_enu_m": runner.local_origins_enu_m}
+
+
+def _tell_refused(out: Output, values: dict[str, Any], plan: MissionPlan, gate: FlightGate | None) -> None:
+    """Tells what signing left out; where the flight came to nothing that may be why."""
+    lines = _refused(plan, gate)
+    if values["refused"]:
+        values["reason"] = "; ".join([str(values["reason"]), *lines])
+        return
+    for line in lines:
+        out.console.print(Text(line, style="bold red"))
 
 
 def _tell(out: Output, values: Mapping[str, Any]) -> None:
