@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
-from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.keys import Keyboard
+from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.order_socket import OrderSocket, runtime_folder
 from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
@@ -64,6 +67,7 @@ def fly(
 ) -> None:
     """Flies a mission: take off, form, hold, return to the pads, land.
 
+    Keys at a terminal: h hold, r resume, b back to the pads, l land, k kill; from another one: gs command.
     Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
     """
     out = Output(as_json=as_json)
@@ -169,7 +173,11 @@ def _dry_run(
     with _recording(log_path, manifest, plan) as log:
         session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan) as display, interrupts.listening():
+        with ExitStack() as stack:
+            stack.enter_context(interrupts.listening())
+            # A dry run in virtual time is over before anybody could say anything.
+            controls, prompt = _controls(stack, session, log_path) if realtime else ((), None)
+            display = stack.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
                 world,
@@ -177,11 +185,39 @@ def _dry_run(
                 watchers=(display, meter),
                 interrupts=interrupts,
                 pace=wall_clock_pace() if realtime else None,
+                controls=controls,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
     _tell_refused(out, values, plan, gate)
-    write_manifest(manifest_path(log_path), manifest.finished(values | _for_the_record(session.runner, gate)))
+    _finish(out, log_path, manifest.finished(values | _for_the_record(session.runner, gate)))
     return values
+
+
+def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Sequence[Control], Callable[[], str] | None]:
+    """What the operator can speak by besides Ctrl-C, and the line that tells of the keys."""
+    controls: list[Control] = []
+    plan, prompt = session.runner.plan, None
+    ids = [vehicle.id for vehicle in plan.spec.vehicles]
+    about = {"mission": plan.spec.name, "log": str(log_path.resolve()), "pid": os.getpid(), "vehicles": ids}
+    try:
+        folder = runtime_folder(os.environ, Path.home())
+        controls.append(stack.enter_context(OrderSocket(folder, about)))
+    except (UserError, RuntimeError) as error:  # a flight needs no second terminal
+        session.remark("alarm", str(error), 0)
+    descriptor = 0  # standard input, whatever stands in for it in this process
+    if Keyboard.usable(descriptor):
+        keyboard = stack.enter_context(Keyboard(descriptor, ids))
+        controls.append(keyboard)
+        prompt = keyboard.prompt
+    return controls, prompt
+
+
+def _finish(out: Output, log_path: Path, manifest: Manifest) -> None:
+    """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
+    try:
+        write_manifest(manifest_path(log_path), manifest)
+    except UserError as error:
+        out.console.print(Text(f"gs: {error}; it lacks how the flight ended", style="bold red"))
 
 
 def _real_flight(
@@ -201,9 +237,19 @@ def _real_flight(
         log = stack.enter_context(_recording(log_path, manifest, plan))
         session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan, links) as display, interrupts.listening():
-            watchers = (display,) if meter is None else (display, meter)
-            fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
+        with ExitStack() as at_the_desk:
+            at_the_desk.enter_context(interrupts.listening())
+            controls, prompt = _controls(at_the_desk, session, log_path)
+            display = at_the_desk.enter_context(FlightDisplay(out.console, plan, links, prompt))
+            fly_real(
+                session,
+                links,
+                clock,
+                period_ns=_period_ns(plan),
+                watchers=(display,) if meter is None else (display, meter),
+                interrupts=interrupts,
+                controls=controls,
+            )
         values = _values(session.runner, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         _tell_refused(out, values, plan, gate)
@@ -212,7 +258,7 @@ def _real_flight(
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | record))
+    _finish(out, log_path, manifest.finished(values | record))
     return values
 
 
