@@ -233,11 +233,11 @@ class OrderSocket:
         order = request.get("order") if isinstance(request, dict) else None
         if isinstance(order, str):
             try:
-                session.operator(order, now_ns)
+                plain = session.operator(order, now_ns)
             except ValueError as error:
                 self._answer(client, {"ok": False, "order": order, "why": str(error)})
             else:
-                self._waiting.append((client, order))
+                self._waiting.append((client, plain))
         elif isinstance(request, dict) and request.get("about"):
             self._answer(client, {"ok": True, "phase": session.runner.phase.value, **self._about})
         else:
@@ -250,7 +250,11 @@ class OrderSocket:
             said = [note.text for note in session.said if note.kind in ("alarm", "info", "phase")]
             phase = session.runner.phase.value
             for client, order in waiting:
-                self._answer(client, {"ok": True, "order": order, "phase": phase, "said": said})
+                refusal = next((text for text in said if text.startswith(f"operator: {order} refused: ")), None)
+                values = {"ok": refusal is None, "order": order, "phase": phase, "said": said}
+                self._answer(
+                    client, values if refusal is None else {**values, "why": refusal.partition("refused: ")[2]}
+                )
         for client in list(self._clients):
             if (client.answers and not self._send(client)) or (client.ended and not client.lines):
                 self._drop(client)

@@ -24,6 +24,7 @@ _REFRESH_NS = 200_000_000
 _WAITING_NS = 5_000_000_000
 _LINES_MAX = 5_000  # that wait for a terminal that takes none; the oldest are left out, the log has them all
 _LAST_LINES_S = 5.0
+_WAITING_PHASES = (Phase.CONNECT, Phase.TAKEOVER)
 _STYLES = {"alarm": "bold red", "phase": "bold", "info": "dim", "roles": "dim"}
 
 
@@ -161,7 +162,7 @@ class FlightDisplay:
         runner = session.runner
         if self._terminal:
             self.screen.state(self._line(session, now_ns, prompt))
-        elif runner.phase is Phase.CONNECT and now_ns >= self._next_waiting_ns:
+        elif runner.phase in _WAITING_PHASES and now_ns >= self._next_waiting_ns:
             # Where nothing can be drawn over, what is waited for is told now and then: an estimator takes a minute.
             self._next_waiting_ns = now_ns + _WAITING_NS
             for problem in [*link_troubles(self._links), *runner.problems]:
@@ -180,7 +181,7 @@ class FlightDisplay:
     def _line(self, session: Session, now_ns: int, prompt: str) -> Text:
         runner = session.runner
         text = Text(f"{self._plan.spec.name}  {now_ns / 1e9:6.1f} s  {runner.phase.value}", style="bold cyan")
-        if runner.phase is Phase.CONNECT:
+        if runner.phase in _WAITING_PHASES:
             for problem in [*link_troubles(self._links), *runner.problems]:
                 text.append(f"\n  waiting: {problem}", style="yellow")
         else:

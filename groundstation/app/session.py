@@ -51,8 +51,11 @@ class Session:
             self._log.received(link, peer, data, t_rx_ns)
         self.runner.receive(link, peer, data, t_rx_ns)
 
-    def operator(self, command: str, now_ns: int) -> None:
+    def operator(self, command: str, now_ns: int) -> str:
         """Takes an order, see ``mission.operator``; it is in the log before it is acted upon.
+
+        Returns:
+            The order in its plain form.
 
         Raises:
             ValueError: it is none, in words for people; nothing happens and nothing is recorded.
@@ -61,6 +64,7 @@ class Session:
         if self._log is not None:
             self._log.operator(text, now_ns)
         self.runner.operator(text)
+        return text
 
     def remark(self, kind: str, text: str, now_ns: int) -> None:
         """Tells people something that the runner need not know; in the log it is an event."""

@@ -61,11 +61,16 @@ def fly(
     faults: Annotated[
         Path | None, typer.Option(help="Timetable of faults (YAML) for a dry run; time 0 is the vehicles' power-up.")
     ] = None,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Bring home vehicles that a ground station left in the air.")
+    ] = False,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Flies a mission: take off, form, hold, return to the pads, land.
+
+    With --take-over: finds those of its vehicles that are in the air, holds them, brings them home and lands them.
 
     Keys at a terminal: h hold, r resume, b back to the pads, l land, k kill; from another one: gs command.
     Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
@@ -73,6 +78,8 @@ def fly(
     out = Output(as_json=as_json)
     if (realtime or udp) and not dry_run:
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
+    if take_over and dry_run:
+        raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), changes or ())
@@ -82,13 +89,15 @@ def fly(
     if dry_run and not udp:
         values = _dry_run(out, plan, log_path, timetable, seed=seed, realtime=realtime)
     else:
-        values = _real_flight(out, plan, log_path, timetable, emulated_seed=seed if dry_run else None)
+        values = _real_flight(
+            out, plan, log_path, timetable, emulated_seed=seed if dry_run else None, take_over=take_over
+        )
     refused = values.pop("refused")
     values["wall_s"] = round(time.monotonic() - started, 3)
     _tell(out, values)
     out.result(values)
     if refused:
-        raise PreflightRefused(_refusal(str(values["reason"])))
+        raise PreflightRefused(_refusal(str(values["reason"]), "nothing was taken over" if take_over else None))
     if values["outcome"] != "completed":
         raise MissionFailed(f"mission {plan.spec.name} aborted: {values['reason']}")
 
@@ -133,9 +142,9 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
         raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles, *refused])))
 
 
-def _refusal(reason: str) -> str:
+def _refusal(reason: str, what: str | None = None) -> str:
     lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ").replace("; system", "\n  system")
-    return "preflight refused, nothing was armed:\n  " + lines
+    return f"{what or 'preflight refused, nothing was armed'}:\n  {lines}"
 
 
 def _refused(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
@@ -221,7 +230,13 @@ def _finish(out: Output, log_path: Path, manifest: Manifest) -> None:
 
 
 def _real_flight(
-    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, emulated_seed: int | None
+    out: Output,
+    plan: MissionPlan,
+    log_path: Path,
+    faults: Sequence[Fault],
+    *,
+    emulated_seed: int | None,
+    take_over: bool,
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
     with ExitStack() as stack:
@@ -233,9 +248,15 @@ def _real_flight(
         gate = open_gate(plan, clock.epoch_unix_us, keep_times=emulated_seed is None)
         if gate is not None:
             stack.callback(gate.close)
-        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
-        log = stack.enter_context(_recording(log_path, manifest, plan))
-        session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
+        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False, take_over=take_over)
+        log = None
+        try:
+            log = stack.enter_context(_recording(log_path, manifest, plan))
+        except UserError as error:
+            if not take_over:  # vehicles in the air wait for no disk
+                raise
+            out.console.print(Text(f"gs: {error}; flying without a log", style="bold red"))
+        session = Session(Runner(plan, 0, whole_frames=gate is not None, take_over=take_over), log, gate)
         interrupts = Interrupts()
         with ExitStack() as at_the_desk:
             at_the_desk.enter_context(interrupts.listening())
@@ -262,13 +283,16 @@ def _real_flight(
     return values
 
 
-def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool) -> Manifest:
+def _manifest(
+    plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool, take_over: bool = False
+) -> Manifest:
     return Manifest(
         mission=plan.record(),
         epoch_unix_us=epoch_unix_us,
         versions=versions(),
         seed=seed,
         dry_run=dry_run,
+        take_over=take_over,
         gains_npz=plan.gains_npz,
     )
 
