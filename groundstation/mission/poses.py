@@ -128,7 +128,8 @@ class TeamFrame:
 
     def _settle(self, gap: FloatArray) -> None:
         """Shifts heights, and places that are only roughly known, by what the vehicles were off while they stood."""
-        gap = np.where(np.isfinite(gap).all(axis=1)[:, None], gap, 0.0)
+        known = np.asarray(np.isfinite(gap).all(axis=1))
+        gap = np.where(known[:, None], gap, 0.0)
         self._shift_ned_m[self._gps, 2] = gap[self._gps, 2]
         if self._plan.positioning == "gps":
             at_pad = np.array([vehicle.origin == "pad" for vehicle in self._plan.spec.vehicles]) & ~self._gps

@@ -1,20 +1,20 @@
 """Takes over vehicles that are in the air when the program starts: after a crash of the one that flew them.
 
-Holds first, thinks later: whoever is armed and in the air gets setpoints to stand still as soon as its attitude is known,
-and is asked into the mode that follows them. Where everybody is in the team's frame is found out while they stand. Then the
-runner brings home those that can be.
+Holds first, thinks later: whoever is armed and in the air gets setpoints to stand still as soon as its attitude is
+known, and is asked into the mode that follows them. Where everybody is in the team's frame is found out while they
+stand. Then the runner brings home those that can be.
 
-What a mission settles on the ground has to be had again in the air. A vehicle sets its home where it takes off, and that
-was its pad: HOME_POSITION, in its own frame or on earth, says where its frame lies, and whether it did take off there.
-Where a vehicle does not tell its home, the origin that the mission declares is believed, and people are told so.
+What a mission settles on the ground has to be had again in the air. A vehicle sets its home where it takes off, and
+that was its pad: HOME_POSITION, in its own frame or on earth, says where its frame lies, and whether it did take off
+there. Where a vehicle does not tell its home, the origin that the mission declares is believed, and people are told so.
 
-Refuses to fight: a vehicle that a pilot flies, or another ground station, is left alone. So is one whose place cannot be
-known, and its own failsafe goes on.
+Refuses to fight: a vehicle that a pilot flies, or another ground station, is left alone. So is one whose place cannot
+be known, and its own failsafe goes on.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -180,8 +180,8 @@ class TakeOver:
             return f"is flown by a pilot, in mode {autopilot.mode_name(mode)}; it is not fought over"
         if not self.taken[vehicle] and autopilot.is_followed_closely(mode, int(fleet.system_status[vehicle])):
             return (
-                f"follows setpoints that are not ours, in mode {autopilot.mode_name(mode)}; end the other ground station"
-                " first"
+                f"follows setpoints that are not ours, in mode {autopilot.mode_name(mode)}; end the other ground"
+                " station first"
             )
         return None
 
@@ -220,7 +220,8 @@ class TakeOver:
             if plan.uses_gps(vehicle) or now_ns - int(self._taken_ns[vehicle]) < _HOME_PATIENCE_NS:
                 return "has not told where it took off (HOME_POSITION)"
             state.notes.append(
-                f"{name}: does not tell where it took off; that its frame begins where the mission says is taken on trust"
+                f"{name}: does not tell where it took off; that its frame begins where the mission says is taken on"
+                " trust"
             )
         elif off_m > plan.pad_error_m:
             return f"took off {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m; is pad_m or its id right?"
@@ -235,17 +236,14 @@ class TakeOver:
 
 def out_of_sight(poses: Poses) -> Poses:
     """Puts whoever was never seen far away from everybody, so that unknown does not spread."""
-    known = (
-        np.isfinite(poses.pos_team_ned_m).all(axis=1)
-        & np.isfinite(poses.vel_ned_m_s).all(axis=1)
-        & np.isfinite(poses.quat_ned_from_frd).all(axis=1)
-    )
+    parts = (poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd)
+    known = np.asarray(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
     if known.all():
         return poses
     far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([0.0, 0.0, 1.0])
-    return Poses(
-        np.where(known[:, None], poses.pos_team_ned_m, far),
-        np.where(known[:, None], poses.vel_ned_m_s, 0.0),
-        np.where(known[:, None], poses.quat_ned_from_frd, np.array([1.0, 0.0, 0.0, 0.0])),
-        poses.sinking,
+    return replace(
+        poses,
+        pos_team_ned_m=np.where(known[:, None], poses.pos_team_ned_m, far),
+        vel_ned_m_s=np.where(known[:, None], poses.vel_ned_m_s, 0.0),
+        quat_ned_from_frd=np.where(known[:, None], poses.quat_ned_from_frd, np.array([1.0, 0.0, 0.0, 0.0])),
     )

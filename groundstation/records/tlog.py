@@ -124,6 +124,9 @@ class TlogWriter:
         self._flushed_ns: int | None = None
         self._closed = False
         self.problem: str | None = None
+        if self._path is not None:  # a log that is cut off at once is a log all the same
+            self._begin(0)
+            self._flush()
 
     def __enter__(self) -> TlogWriter:
         """Returns itself."""
