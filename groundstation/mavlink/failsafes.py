@@ -146,6 +146,17 @@ def _simple(name: str) -> tuple[tuple[str, float], ...]:
     return ((name, 1.0),)
 
 
+def setpoint_loss_s(setpoint_s: float) -> float:
+    """Time without setpoints after which a vehicle shall stop.
+
+    Until then it flies on by the last one, which two that were about to turn away from each other must not do for long:
+    of teams that lost their ground station while forming, with PX4's second, some came nearer than r
+    (docs/safety.md).
+    """
+    return max(0.3, 4.0 * setpoint_s)
+
+
+_BLIND_FLIGHT = "so long it flies on by its last setpoint when they stop, and keeps clear of nobody"
 _STACKED = "others may be below"
 _GONE = "the ground station may be gone for good"
 
@@ -180,8 +191,8 @@ class Px4Failsafes(Failsafes):
             lost_insane = _one_of(0, 1, 2, 4, *falls)
         rules = [
             Rule(
-                _simple("COM_OF_LOSS_T"), 1.0, "time without setpoints after which it reacts",
-                lambda value: max(0.2, 3.0 * period_s) <= value <= 2.0,
+                _simple("COM_OF_LOSS_T"), setpoint_loss_s(period_s), _BLIND_FLIGHT,
+                lambda value: max(0.2, 3.0 * period_s) <= value <= max(0.5, 5.0 * period_s),
                 lambda value: not 2.0 * period_s <= value <= 5.0,
             ),
             Rule(
@@ -285,8 +296,8 @@ class ArduCopterFailsafes(Failsafes):
         """Setpoint loss, ground station loss, the way home, remote control, battery, estimator, speed limits."""
         rules = [
             Rule(
-                _simple("GUID_TIMEOUT"), 1.0, "so long it keeps the last velocity when setpoints stop",
-                lambda value: max(0.2, 3.0 * wish.setpoint_s) <= value <= 1.5,
+                _simple("GUID_TIMEOUT"), setpoint_loss_s(wish.setpoint_s), _BLIND_FLIGHT,
+                lambda value: max(0.2, 3.0 * wish.setpoint_s) <= value <= max(0.5, 5.0 * wish.setpoint_s),
                 lambda value: not 2.0 * wish.setpoint_s <= value <= 3.0,
             ),
             *self._station_lost(wish),

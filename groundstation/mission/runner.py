@@ -31,6 +31,7 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
 from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
+from groundstation.mission.takeover import TakeOver, out_of_sight
 from groundstation.mission.words import Words
 
 __all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]
@@ -55,6 +56,7 @@ class Runner:
         start_ns: time at which it begins, on the clock of all other times.
         check_only: stop after the preflight checks, arm nothing.
         whole_frames: ``receive`` is given whole frames on every link, as from a log, whatever the links were.
+        take_over: the vehicles are in the air already; take them over and bring them home, see ``takeover``.
 
     Attributes:
         phase: what the team is doing.
@@ -65,11 +67,17 @@ class Runner:
     """
 
     def __init__(
-        self, plan: MissionPlan, start_ns: int, *, check_only: bool = False, whole_frames: bool = False
+        self,
+        plan: MissionPlan,
+        start_ns: int,
+        *,
+        check_only: bool = False,
+        whole_frames: bool = False,
+        take_over: bool = False,
     ) -> None:
         n = plan.size
         self.plan = plan
-        self.phase = Phase.CONNECT
+        self.phase = Phase.TAKEOVER if take_over else Phase.CONNECT
         self.outcome: str | None = None
         self.reason = ""
         self.figures = Figures()
@@ -94,7 +102,8 @@ class Runner:
         self._takeoff_ns = NEVER
         self._last_step_ns = NEVER
         self._steady_since_ns = NEVER
-        self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
+        self._notes: list[Note] = [Note("phase", self.phase.value)]
+        self._take_over = TakeOver(plan, self._station, self._frame, self._preflight, start_ns)
         self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
         self._landing = Landing(plan, self.fleet, self._station.commands)
         self._killing = Killing(plan, self.fleet, self._station.commands)
@@ -188,10 +197,14 @@ class Runner:
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
-            poses = self._watch(poses, now_ns)
+            poses = self._watch(out_of_sight(poses), now_ns)
             self._measure(poses)
+        standing: BoolArray = np.zeros(n, dtype=np.bool_)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
+        elif self.phase is Phase.TAKEOVER:
+            self._take(now_ns)
+            standing = self._take_over.taken
         elif self.phase is Phase.ARM:
             self._arm(now_ns, poses)
         elif self.phase is Phase.SILENT:
@@ -200,10 +213,12 @@ class Runner:
         elif self.phase in AIRBORNE_PHASES:
             velocity = self._steer(now_ns, poses)
         self._killing.step(now_ns)
-        streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
+        streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
-        velocity = self._sent_ned_m_s = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
+        velocity = self._sent_ned_m_s = np.where(
+            (self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity
+        )
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -263,6 +278,35 @@ class Runner:
                 self._words = Words()
                 self._arming = Arming(plan, self.fleet, self._station.commands)
                 self._enter(Phase.ARM, now_ns)
+
+    def _take(self, now_ns: int) -> None:
+        """Holds whoever is in the air, then brings everybody home whose place is known."""
+        state = self._take_over.step(now_ns)
+        for note in state.notes:
+            self._note("info", note)
+        self.problems = state.problems + state.waiting
+        self._yaw_ned_rad = self._take_over.yaw_ned_rad
+        if not state.done:
+            return
+        home = self._take_over.home
+        if not home.any():
+            self._refuse(state.problems or ["nobody is in the air; there is nothing to take over"], now_ns)
+            return
+        self._frame.settle_in_flight(self.fleet)
+        self.fleet.hold_addresses(self.plan.signed_links)
+        self._monitor.begin(self.fleet)
+        self._released |= ~home
+        self._monitor.leave(self._released)
+        self._climb.under_way[:] = False
+        self._flight.gather_ned_m = self._take_over.gather_ned_m()
+        self._takeoff_ns = now_ns
+        for line in self._frame.words():
+            self._note("info", line)
+        for problem in state.problems:
+            self._abort(problem)
+        names = ", ".join(str(sysid) for sysid in self.fleet.sysid[home])
+        self._note("info", f"taken over and brought home: vehicle {names}")
+        self._enter(Phase.RETURN, now_ns)
 
     def _arm(self, now_ns: int, poses: Poses) -> None:
         if now_ns - self._phase_ns < _STREAM_FIRST_NS:
@@ -535,7 +579,7 @@ class Runner:
         """
         if not follows:
             self._abort(reason)
-        if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
+        if self.phase in (Phase.TAKEOVER, Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
         if self.phase is Phase.PAUSE:
             # A hold is the operator's: whatever stands below may be why. The team comes back when it is over.

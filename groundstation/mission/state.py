@@ -12,6 +12,7 @@ class Phase(Enum):
     """What the team is doing; HOLD is a step of the mission, PAUSE what the operator's ``hold`` leads to."""
 
     CONNECT = "connect"
+    TAKEOVER = "take-over"
     ARM = "arm"
     TAKEOFF = "takeoff"
     FORM = "form"

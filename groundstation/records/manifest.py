@@ -54,6 +54,7 @@ class Manifest:
         versions: program name to version.
         seed: of the random numbers; None when none were drawn.
         dry_run: whether the emulator flew in virtual time.
+        take_over: the flight began in the air, with vehicles that another ground station had left there.
         gains_npz: the gains file, byte by byte; None when no gains are known.
         result: how it ended; None while it flies, and for ever after a crash.
     """
@@ -63,6 +64,7 @@ class Manifest:
     versions: Mapping[str, str] = field(default_factory=dict)
     seed: int | None = None
     dry_run: bool = False
+    take_over: bool = False
     gains_npz: bytes | None = None
     result: Mapping[str, Any] | None = None
 
@@ -85,6 +87,7 @@ class Manifest:
             "versions": self.versions,
             "seed": self.seed,
             "dry_run": self.dry_run,
+            "take_over": self.take_over,
             "gains_sha256": self.gains_sha256,
             "gains_npz_base64": None if self.gains_npz is None else base64.b64encode(self.gains_npz).decode(),
             "result": self.result,
@@ -147,6 +150,7 @@ def read_manifest(path: Path) -> Manifest:
         versions=_expect(path, values, "versions", dict),
         seed=_expect(path, values, "seed", int, type(None)),
         dry_run=_expect(path, values, "dry_run", bool),
+        take_over=_expect(path, {"take_over": False} | values, "take_over", bool),  # older ones do not have it
         gains_npz=gains,
         result=_expect(path, values, "result", dict, type(None)),
     )

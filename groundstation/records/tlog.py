@@ -110,6 +110,8 @@ class TlogWriter:
         stream_links: Collection[int] = (),
     ) -> None:
         self._file = _create(target) if isinstance(target, Path) else target
+        self._path = target if isinstance(target, Path) else None
+        self._identity = self._path.stat() if self._path is not None else os.stat_result((0,) * 10)
         self._name = str(target) if isinstance(target, Path) else "log"
         self._epoch_unix_us = epoch_unix_us
         self._sender = (sysid, compid)
@@ -122,6 +124,9 @@ class TlogWriter:
         self._flushed_ns: int | None = None
         self._closed = False
         self.problem: str | None = None
+        if self._path is not None:  # a log that is cut off at once is a log all the same
+            self._begin(0)
+            self._flush()
 
     def __enter__(self) -> TlogWriter:
         """Returns itself."""
@@ -254,6 +259,8 @@ class TlogWriter:
                 taken = self._file.write(bytes(view))
                 view = view[len(view) if taken is None else taken :]
             self._file.flush()
+            if self._path is not None and not os.path.samestat(self._path.stat(), self._identity):
+                raise FileNotFoundError(0, "the file was replaced while it was written")
         except OSError as error:
             self._fail(error)
         self._buffer = bytearray()

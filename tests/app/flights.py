@@ -39,14 +39,16 @@ class Flight:
         world: World | None = None,
         change: Callable[[WorldConfig], WorldConfig] | None = None,
         prepare: Callable[[World], None] | None = None,
+        take_over: bool = False,
     ) -> None:
         self.plan = plan
+        self.take_over = take_over
         config = config or world_config(plan, seed)
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
         self.gate = open_gate(plan, 0, keep_times=False)
-        self.runner = Runner(plan, 0, whole_frames=self.gate is not None)
+        self.runner = Runner(plan, 0, whole_frames=self.gate is not None, take_over=take_over)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -78,6 +80,7 @@ class Flight:
             versions={},
             seed=1,
             dry_run=True,
+            take_over=self.take_over,
             gains_npz=self.plan.gains_npz,
         )
         return manifest.finished({"outcome": self.runner.outcome})

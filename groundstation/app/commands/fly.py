@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
-from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.keys import Keyboard
+from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.order_socket import OrderSocket, runtime_folder
 from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
@@ -58,17 +61,25 @@ def fly(
     faults: Annotated[
         Path | None, typer.Option(help="Timetable of faults (YAML) for a dry run; time 0 is the vehicles' power-up.")
     ] = None,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Bring home vehicles that a ground station left in the air.")
+    ] = False,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Flies a mission: take off, form, hold, return to the pads, land.
 
+    With --take-over: finds those of its vehicles that are in the air, holds them, brings them home and lands them.
+
+    Keys at a terminal: h hold, r resume, b back to the pads, l land, k kill; from another one: gs command.
     Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
     """
     out = Output(as_json=as_json)
     if (realtime or udp) and not dry_run:
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
+    if take_over and dry_run:
+        raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), changes or ())
@@ -78,13 +89,15 @@ def fly(
     if dry_run and not udp:
         values = _dry_run(out, plan, log_path, timetable, seed=seed, realtime=realtime)
     else:
-        values = _real_flight(out, plan, log_path, timetable, emulated_seed=seed if dry_run else None)
+        values = _real_flight(
+            out, plan, log_path, timetable, emulated_seed=seed if dry_run else None, take_over=take_over
+        )
     refused = values.pop("refused")
     values["wall_s"] = round(time.monotonic() - started, 3)
     _tell(out, values)
     out.result(values)
     if refused:
-        raise PreflightRefused(_refusal(str(values["reason"])))
+        raise PreflightRefused(_refusal(str(values["reason"]), "nothing was taken over" if take_over else None))
     if values["outcome"] != "completed":
         raise MissionFailed(f"mission {plan.spec.name} aborted: {values['reason']}")
 
@@ -129,9 +142,9 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
         raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles, *refused])))
 
 
-def _refusal(reason: str) -> str:
+def _refusal(reason: str, what: str | None = None) -> str:
     lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ").replace("; system", "\n  system")
-    return "preflight refused, nothing was armed:\n  " + lines
+    return f"{what or 'preflight refused, nothing was armed'}:\n  {lines}"
 
 
 def _refused(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
@@ -169,7 +182,11 @@ def _dry_run(
     with _recording(log_path, manifest, plan) as log:
         session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan) as display, interrupts.listening():
+        with ExitStack() as stack:
+            stack.enter_context(interrupts.listening())
+            # A dry run in virtual time is over before anybody could say anything.
+            controls, prompt = _controls(stack, session, log_path) if realtime else ((), None)
+            display = stack.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
                 world,
@@ -177,15 +194,49 @@ def _dry_run(
                 watchers=(display, meter),
                 interrupts=interrupts,
                 pace=wall_clock_pace() if realtime else None,
+                controls=controls,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
     _tell_refused(out, values, plan, gate)
-    write_manifest(manifest_path(log_path), manifest.finished(values | _for_the_record(session.runner, gate)))
+    _finish(out, log_path, manifest.finished(values | _for_the_record(session.runner, gate)))
     return values
 
 
+def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Sequence[Control], Callable[[], str] | None]:
+    """What the operator can speak by besides Ctrl-C, and the line that tells of the keys."""
+    controls: list[Control] = []
+    plan, prompt = session.runner.plan, None
+    ids = [vehicle.id for vehicle in plan.spec.vehicles]
+    about = {"mission": plan.spec.name, "log": str(log_path.resolve()), "pid": os.getpid(), "vehicles": ids}
+    try:
+        folder = runtime_folder(os.environ, Path.home())
+        controls.append(stack.enter_context(OrderSocket(folder, about)))
+    except (UserError, RuntimeError) as error:  # a flight needs no second terminal
+        session.remark("alarm", str(error), 0)
+    descriptor = 0  # standard input, whatever stands in for it in this process
+    if Keyboard.usable(descriptor):
+        keyboard = stack.enter_context(Keyboard(descriptor, ids))
+        controls.append(keyboard)
+        prompt = keyboard.prompt
+    return controls, prompt
+
+
+def _finish(out: Output, log_path: Path, manifest: Manifest) -> None:
+    """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
+    try:
+        write_manifest(manifest_path(log_path), manifest)
+    except UserError as error:
+        out.console.print(Text(f"gs: {error}; it lacks how the flight ended", style="bold red"))
+
+
 def _real_flight(
-    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, emulated_seed: int | None
+    out: Output,
+    plan: MissionPlan,
+    log_path: Path,
+    faults: Sequence[Fault],
+    *,
+    emulated_seed: int | None,
+    take_over: bool,
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
     with ExitStack() as stack:
@@ -197,13 +248,29 @@ def _real_flight(
         gate = open_gate(plan, clock.epoch_unix_us, keep_times=emulated_seed is None)
         if gate is not None:
             stack.callback(gate.close)
-        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
-        log = stack.enter_context(_recording(log_path, manifest, plan))
-        session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
+        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False, take_over=take_over)
+        log = None
+        try:
+            log = stack.enter_context(_recording(log_path, manifest, plan))
+        except UserError as error:
+            if not take_over:  # vehicles in the air wait for no disk
+                raise
+            out.console.print(Text(f"gs: {error}; flying without a log", style="bold red"))
+        session = Session(Runner(plan, 0, whole_frames=gate is not None, take_over=take_over), log, gate)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan, links) as display, interrupts.listening():
-            watchers = (display,) if meter is None else (display, meter)
-            fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
+        with ExitStack() as at_the_desk:
+            at_the_desk.enter_context(interrupts.listening())
+            controls, prompt = _controls(at_the_desk, session, log_path)
+            display = at_the_desk.enter_context(FlightDisplay(out.console, plan, links, prompt))
+            fly_real(
+                session,
+                links,
+                clock,
+                period_ns=_period_ns(plan),
+                watchers=(display,) if meter is None else (display, meter),
+                interrupts=interrupts,
+                controls=controls,
+            )
         values = _values(session.runner, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         _tell_refused(out, values, plan, gate)
@@ -212,17 +279,20 @@ def _real_flight(
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | record))
+    _finish(out, log_path, manifest.finished(values | record))
     return values
 
 
-def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool) -> Manifest:
+def _manifest(
+    plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool, take_over: bool = False
+) -> Manifest:
     return Manifest(
         mission=plan.record(),
         epoch_unix_us=epoch_unix_us,
         versions=versions(),
         seed=seed,
         dry_run=dry_run,
+        take_over=take_over,
         gains_npz=plan.gains_npz,
     )
 
