@@ -107,6 +107,13 @@ class MissionPlan:
         """How far a vehicle's two positions, local and global, may drift apart."""
         return self.spec.limits.frame_drift_m or 0.5 + self.margin_m
 
+    @property
+    def slowness(self) -> float:
+        """How many times more gently points are approached because of the links' delay; 1 without any."""
+        own = slowest(PROFILES[vehicle.profile] for vehicle in self.spec.vehicles).delay_s
+        rest_s = self.profile.lag_s - 0.75 * min(self.lead_s, self.profile.lag_s)  # as in ``guidance``
+        return (rest_s + self.profile.delay_s) / (rest_s + own)
+
     def rates_of(self, vehicle: int) -> LinkRates:
         """Rates of a vehicle."""
         return self.rates[self.link_of_vehicle[vehicle]]

@@ -44,6 +44,7 @@ _FAULTS_NOTED = 5
 _HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
+_SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
 
 
@@ -109,7 +110,7 @@ class Runner:
         self._abort_requested = False
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._gather_ned_m: FloatArray = self._pads_ned_m.copy()
-        self._spread_m = _OF_MARGIN * plan.margin_m
+        self._spread_m = _OF_MARGIN * plan.margin_m * min(plan.slowness, _SLOWNESS_MAX)
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
             [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(n)]
