@@ -1,8 +1,8 @@
 """Brings vehicles down, each when nobody is below it, and knows when the whole team is down.
 
 A vehicle that nobody has heard from for a while cannot be waited for: it is given up as lost, by name, so that the
-ground station ends and says so. One that reports to stand on the ground and sends no heartbeats is named as well: whether it
-is disarmed is not known.
+ground station ends and says so. One that reports to stand on the ground and sends no heartbeats is named as well:
+whether it is disarmed is not known.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """How well the team knows where it is, and what that leaves of r and of the tolerance.
 
 The avoidance keeps *reported* distances above r plus a margin. The margin is what two positions may be off against
-each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it, and one that wants to be formed more closely than
-vehicles that wander by GPS can be over its links.
+each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it, and one
+that wants to be formed more closely than vehicles that wander by GPS can be over its links.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Teams over links that lose and delay, with autopilots that do not answer or start anew: flown, or refused in words."""
+"""Teams over links that lose and delay, autopilots that do not answer or start anew: flown, or refused in words."""
 
 from __future__ import annotations
 
