@@ -19,6 +19,7 @@ from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
+from groundstation.mission.profiles import approach_rate_1_s
 
 _NOBODY: FloatArray = np.zeros(0)
 """Stands for zeros of whatever size is right."""
@@ -96,9 +97,7 @@ class Guide:
         self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
-        # Where a vehicle would come to rest obeys p' = u, as far as the lag is what it is taken for (a quarter of what
-        # is made up for is not trusted, as in `auto_control_gain`): a point is approached that much faster.
-        self._target_rate_1_s = 0.25 / (profile.lag_s - 0.75 * min(plan.lead_s, profile.lag_s) + profile.delay_s)
+        self._target_rate_1_s = approach_rate_1_s(profile, plan.lead_s)
         self._stopping_s = profile.lag_s + profile.delay_s
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
         floor_enu = np.array([*spec.fence.min_m[:2], max(plan.min_altitude_m, spec.fence.min_m[2])])

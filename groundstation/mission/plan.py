@@ -31,8 +31,8 @@ from groundstation.design.store import (
 from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
-from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, margin_m
-from groundstation.mission.profiles import PROFILES, VehicleProfile, slowest
+from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
+from groundstation.mission.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
 from groundstation.mission.schema import MissionSpec
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
@@ -141,6 +141,12 @@ class MissionPlan:
         limits = self.spec.limits
         low = limits.battery_min_v
         return 0.95 * low if limits.battery_land_v is None and low is not None else limits.battery_land_v
+
+    @property
+    def slowness(self) -> float:
+        """How many times more gently points are approached because of the links' delay; 1 without any."""
+        own = replace(self.profile, delay_s=slowest(PROFILES[v.profile] for v in self.spec.vehicles).delay_s)
+        return approach_rate_1_s(own, self.lead_s) / approach_rate_1_s(self.profile, self.lead_s)
 
     def rates_of(self, vehicle: int) -> LinkRates:
         """Rates of a vehicle."""
@@ -284,6 +290,8 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     upright_1_s = 0.0 if spec.scale.kind == "free" else spec.upright_1_s
     rate_1_s = rate_for_auto_gain_1_s(formation, gains, scale, upright_1_s)
     lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
+    if positioning == "gps":
+        check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
     automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
     floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
     return MissionPlan(

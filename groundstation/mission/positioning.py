@@ -1,7 +1,8 @@
-"""How well the team knows where it is, and what that leaves of r.
+"""How well the team knows where it is, and what that leaves of r and of the tolerance.
 
 The avoidance keeps *reported* distances above r plus a margin. The margin is what two positions may be off against
-each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it.
+each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it, and one
+that wants to be formed more closely than vehicles that wander by GPS can be over its links.
 """
 
 from __future__ import annotations
@@ -13,16 +14,46 @@ import numpy as np
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray
+from groundstation.mission.schema import MissionSpec
 
 POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
 """Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against
 each other, which is three standard deviations of a difference."""
+_WANDER_M_S = 0.04
+"""Standard deviation of a velocity that GPS and IMU do not notice: at zero command vehicles were seen to wander by up
+to 2.5 m a minute."""
 _DEVIATIONS = 3.0
 
 
 def margin_m(position_error_m: float) -> float:
     """What is added to r: three standard deviations of the distance of two positions that are off on their own."""
     return _DEVIATIONS * math.sqrt(2.0) * position_error_m
+
+
+def tolerance_min_m(rate_1_s: float) -> float:
+    """How far off a distance stays under a law that takes errors back at a rate, both vehicles wandering by GPS."""
+    return _DEVIATIONS * math.sqrt(2.0) * _WANDER_M_S / rate_1_s
+
+
+def check_tolerances(source: str, spec: MissionSpec, rate_1_s: float) -> None:
+    """Refuses a formation that GPS and the links' delay would never let come true.
+
+    Args:
+        source: the mission's name.
+        spec: steps and link delay.
+        rate_1_s: of the approach, which a delay lowers.
+
+    Raises:
+        UserError: with the tolerance that can be reached.
+    """
+    least_m = math.ceil(100.0 * tolerance_min_m(rate_1_s)) / 100.0
+    for number, step in enumerate(spec.steps):
+        if step.form is not None and step.form.tolerance_m < least_m:
+            raise UserError(
+                f"{source}: steps[{number}].form.tolerance_m: {step.form.tolerance_m:g} m, minimum is {least_m:g} m:"
+                f" vehicles wander by GPS, and with the delay of these links (link_delay_s: {spec.link_delay_s:g}) that"
+                " is taken back slowly; widen the tolerance, or use quicker links"
+            )
 
 
 def check_radius(

@@ -54,6 +54,19 @@ PROFILES: dict[str, VehicleProfile] = {
 }  # fmt: skip
 
 
+def approach_rate_1_s(profile: VehicleProfile, lead_s: float) -> float:
+    """How quickly a point can be approached, critically damped.
+
+    Where a vehicle would come to rest obeys p' = u, as far as the lag is what it is taken for (a quarter of what is
+    made up for is not trusted, as in ``auto_control_gain``): a point is approached that much faster.
+
+    Args:
+        profile: lag and delay.
+        lead_s: what of the lag is made up for.
+    """
+    return 0.25 / (profile.lag_s - 0.75 * min(lead_s, profile.lag_s) + profile.delay_s)
+
+
 def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
     """The profile that every vehicle of a mixed team can keep: the worst of each figure."""
     items = list(profiles)

@@ -45,6 +45,7 @@ _DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while t
 _FAULTS_NOTED = 5
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
+_SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
 
 
@@ -118,7 +119,7 @@ class Runner:
         self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
-        self._spread_m = _OF_MARGIN * plan.margin_m
+        self._spread_m = _OF_MARGIN * plan.margin_m * min(plan.slowness, _SLOWNESS_MAX)
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
             [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(n)]

@@ -305,7 +305,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
 def _frames_lost_ns(
     positions: Sequence[tuple[int, Frame]], origins: Sequence[tuple[int, Frame]], settled_ns: int
 ) -> dict[int, int]:
-    """From when on a vehicle's local positions no longer count from where they did: it started anew, or moved its origin.
+    """From when on a vehicle's local positions count from elsewhere: it started anew, or its origin was moved.
 
     Args:
         positions: LOCAL_POSITION_NED in order of arrival.

@@ -83,7 +83,8 @@ class Flight:
             take_over=self.take_over,
             gains_npz=self.plan.gains_npz,
         )
-        return manifest.finished({"outcome": self.runner.outcome})
+        origins = self.runner.local_origins_enu_m
+        return manifest.finished({"outcome": self.runner.outcome, "local_origins_enu_m": origins})
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """The emulator's side of the loop, with the network's mischief."""
