@@ -15,10 +15,10 @@ from groundstation.core.avoidance import avoid
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
-from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
+from groundstation.mission.positioning import all_offsets
 
 _NOBODY: FloatArray = np.zeros(0)
 """Stands for zeros of whatever size is right."""
@@ -78,10 +78,9 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What two positions may be off against each other is added to r and d: then true distances stay above r.
-        off_diagonal = ~np.eye(plan.size, dtype=np.bool_)
-        shortest_m = float(plan.formation.distances_m[off_diagonal].min())
-        margin_m = fitting_margin_m(plan.margin_m, spec.avoidance.radius_m, shortest_m)
-        self._region = SafetySphere(spec.avoidance.radius_m + margin_m, spec.avoidance.activation_m + margin_m)
+        room_m = plan.region.room_m(all_offsets(plan.formation.points_enu_m))
+        margin_m = fitting_margin_m(plan.margin_m, room_m)
+        self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
             margin_m=margin_m,
@@ -90,10 +89,12 @@ class Guide:
             tick_s=self._period_s,
             speed_limit_m_s=spec.speed_limit_m_s,
             accel_limit_m_s2=profile.acceleration_max_m_s2,
+            region=plan.region,
         )
         # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.
         closing_m = 2.0 * spec.speed_limit_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
-        self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
+        widest = self._region.activation_m / self._region.radius_m
+        self._reach_m = max(widest * self._region.reach_m(0.0), self._region.reach_m(closing_m))
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
         # Where a vehicle would come to rest obeys p' = u, as far as the lag is what it is taken for (a quarter of what

@@ -15,7 +15,7 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.limits import Fence
-from groundstation.core.metrics import min_distance_m
+from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
@@ -597,5 +597,8 @@ class Runner:
             self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
-        distance = min_distance_m(poses.pos_team_ned_m, self.airborne & ~self._monitor.blind)
+        counted = np.asarray(self.airborne & ~self._monitor.blind, dtype=np.bool_)
+        distance = min_distance_m(poses.pos_team_ned_m, counted)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
+        clearance = min_clearance(poses.pos_team_ned_m, self.plan.region, counted)
+        self.figures.min_clearance = min(self.figures.min_clearance, clearance)
