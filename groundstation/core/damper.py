@@ -228,8 +228,8 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
     parting = np.where(np.isfinite(rate), np.minimum(rate, 0.0), -params.speed_limit_m_s)
     left = distance + params.horizon_s * parting
     bounds = 0.5 * params.rate_1_s * left
-    unsteered = seen & (views.extra_m > 0.0)
-    if unsteered.any():
+    if views.extra_m.any():
+        unsteered = seen & (views.extra_m > 0.0)
         own = views.vel_flu_m_s[:, None]
         towards = normals[..., 0] * own[..., 0] + normals[..., 1] * own[..., 1] + normals[..., 2] * own[..., 2]
         # Of an obstacle whose velocity is unknown no more is known than that the pair may close at full speed.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.regions import SafetyRegion
+from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -61,6 +61,8 @@ def min_clearance(pos_m: FloatArray, region: SafetyRegion, counted: BoolArray | 
     Returns:
         Dimensionless; infinite when fewer than two agents count.
     """
+    if isinstance(region, SafetySphere):
+        return min_distance_m(pos_m, counted) / region.radius_m
     here = np.isfinite(pos_m).all(axis=1)
     if counted is not None:
         here = here & counted

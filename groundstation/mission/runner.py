@@ -16,6 +16,7 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.limits import Fence
 from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
@@ -69,6 +70,7 @@ class Runner:
     ) -> None:
         n = plan.size
         self.plan = plan
+        self._region = plan.region
         self.phase = Phase.CONNECT
         self.outcome: str | None = None
         self.reason = ""
@@ -600,5 +602,8 @@ class Runner:
         counted = np.asarray(self.airborne & ~self._monitor.blind, dtype=np.bool_)
         distance = min_distance_m(poses.pos_team_ned_m, counted)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
-        clearance = min_clearance(poses.pos_team_ned_m, self.plan.region, counted)
-        self.figures.min_clearance = min(self.figures.min_clearance, clearance)
+        if isinstance(self._region, SafetySphere):
+            self.figures.min_clearance = self.figures.min_distance_m / self._region.radius_m
+        else:
+            clearance = min_clearance(poses.pos_team_ned_m, self._region, counted)
+            self.figures.min_clearance = min(self.figures.min_clearance, clearance)

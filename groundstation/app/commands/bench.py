@@ -15,7 +15,11 @@ from rich.table import Table
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 
-BENCHES = {"flight": "groundstation.app.bench_flight", "gains": "groundstation.app.bench_gains"}
+BENCHES = {
+    "avoidance": "groundstation.app.bench_avoidance",
+    "flight": "groundstation.app.bench_flight",
+    "gains": "groundstation.app.bench_gains",
+}
 """Name: module with ``run(out: Output) -> dict``."""
 
 
