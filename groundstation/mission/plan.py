@@ -6,6 +6,7 @@ Positions in the file are ENU in one team frame; the plan keeps them so, and the
 from __future__ import annotations
 
 import itertools
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from groundstation.core.control import ScaleFunction, auto_control_gain, rate_fo
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
 from groundstation.core.formation import Formation, Gains
+from groundstation.core.regions import SafetyRegion, SafetySphere, UprightRegion, build_region
 from groundstation.core.types import FloatArray
 from groundstation.design.store import (
     FormationFile,
@@ -91,6 +93,11 @@ class MissionPlan:
     def size(self) -> int:
         """Number of vehicles, n."""
         return len(self.spec.vehicles)
+
+    @property
+    def region(self) -> SafetyRegion:
+        """What is kept clear around every vehicle, without the margin."""
+        return _region(self.spec, self.profile)
 
     @property
     def stream_links(self) -> tuple[int, ...]:
@@ -260,12 +267,12 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     if spec.steps[0].form is None:
         raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
     _check_vehicles(spec, formation, source)
-    _check_room(spec, formation, pads, source)
+    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
+    _check_room(spec, formation, pads, profile, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
     _check_signing(spec, addresses, source)
     rates = _fit_links(spec, addresses, source)
-    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
@@ -273,7 +280,7 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         source,
         formation,
         pads,
-        radius_m=spec.avoidance.radius_m,
+        region=_region(spec, profile),
         position_error_m=position_error_m,
         positioning=positioning,
     )
@@ -436,13 +443,24 @@ def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> Non
             raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
 
 
-def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, source: str) -> None:
+def _region(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:
+    given = spec.avoidance
+    half_height_m = profile.half_height_m if given.half_height_m is None else given.half_height_m
+    return build_region(given.shape, given.radius_m, given.activation_m, half_height_m)
+
+
+def _check_room(
+    spec: MissionSpec, formation: Formation, pads: FloatArray, profile: VehicleProfile, source: str
+) -> None:
     radius = spec.avoidance.radius_m
     if spec.avoidance.activation_m < radius:
         raise UserError(
             f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
             f" {radius} m; make it as large at least"
         )
+    region = _region(spec, profile)
+    if not isinstance(region, SafetySphere):
+        _check_clearance(region, formation, pads, source)
     for i, j in itertools.combinations(range(formation.size), 2):
         distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
         if distance <= radius:
@@ -482,6 +500,25 @@ def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, sourc
                 f"{source}: vehicles[{number}].pad_m: {pad.tolist()} with the takeoff height of"
                 f" {spec.takeoff.height_m:g} m is not inside the fence {low.tolist()} to {high.tolist()}"
             )
+
+
+def _check_clearance(region: SafetyRegion, formation: Formation, pads: FloatArray, source: str) -> None:
+    """Refuses points and pads inside of each other's upright region."""
+    sizes = f"{region.name} of avoidance.radius_m {region.radius_m:g} m"
+    if isinstance(region, UprightRegion):
+        sizes += f" and half_height_m {region.half_height_m:g} m"
+    remedy = "scale the formation up or make the region smaller", "move the pads apart or make the region smaller"
+    for points, names, told in (
+        (formation.points_enu_m, ("formation.points[{}]", "points[{}]"), remedy[0]),
+        (pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), remedy[1]),
+    ):
+        for i, j in itertools.combinations(range(len(points)), 2):
+            offset = points[j] - points[i]
+            if region.clearance(offset) <= 1.0:
+                raise UserError(
+                    f"{source}: {names[0].format(j)}: {math.hypot(*offset[:2]):.3g} m beside and"
+                    f" {abs(offset[2]):.3g} m above or below {names[1].format(i)}, inside of the {sizes}; {told}"
+                )
 
 
 def _floor(spec: MissionSpec) -> float:

@@ -15,7 +15,8 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.limits import Fence
-from groundstation.core.metrics import min_distance_m
+from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
@@ -79,6 +80,7 @@ class Runner:
         n = plan.size
         self.plan = plan
         self.phase = Phase.TAKEOVER if take_over else Phase.CONNECT
+        self._region = plan.region
         self.outcome: str | None = None
         self.reason = ""
         self.figures = Figures()
@@ -642,5 +644,11 @@ class Runner:
             self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
-        distance = min_distance_m(poses.pos_team_ned_m, self.airborne & ~self._monitor.blind)
+        counted = np.asarray(self.airborne & ~self._monitor.blind, dtype=np.bool_)
+        distance = min_distance_m(poses.pos_team_ned_m, counted)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
+        if isinstance(self._region, SafetySphere):
+            self.figures.min_clearance = self.figures.min_distance_m / self._region.radius_m
+        else:
+            clearance = min_clearance(poses.pos_team_ned_m, self._region, counted)
+            self.figures.min_clearance = min(self.figures.min_clearance, clearance)

@@ -35,11 +35,18 @@ class ScaleSpec(_Strict):
 
 
 class AvoidanceSpec(_Strict):
-    """Safety radius r and activation distance d of Algorithm 2."""
+    """Safety radius r and activation distance d of Algorithm 2, and what stands above and below where it is no ball."""
 
     radius_m: Positive
     activation_m: Positive
-    shape: Literal["sphere"] = "sphere"
+    shape: Literal["sphere", "cylinder", "ellipsoid"] = "sphere"
+    half_height_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _spheres_have_none(self) -> AvoidanceSpec:
+        if self.shape == "sphere" and self.half_height_m is not None:
+            raise ValueError("half_height_m belongs to shape: cylinder or ellipsoid; a sphere has radius_m only")
+        return self
 
 
 class TakeoffSpec(_Strict):

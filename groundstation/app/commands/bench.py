@@ -16,6 +16,7 @@ from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 
 BENCHES = {
+    "avoidance": "groundstation.app.bench_avoidance",
     "flight": "groundstation.app.bench_flight",
     "gains": "groundstation.app.bench_gains",
     "sigkill": "groundstation.app.bench_sigkill",

@@ -107,7 +107,7 @@ class LateTicks:
         self._ticks: deque[int] = deque()
         self._late, self._slow, self._silent = Lasting(1, again=True), Lasting(1), Lasting(1)
 
-    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:  # noqa: ARG002 - it concerns nobody
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back when ticks are late; ends a stream that flickers."""
         now_ns = sight.now_ns
         gap_s = (now_ns - self._ticks[-1]) / SECOND_NS if self._ticks else 0.0
