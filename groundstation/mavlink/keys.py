@@ -46,9 +46,11 @@ def read_key(path: Path) -> SecretKey:
         if error.errno == errno.ELOOP:
             raise UserError(f"{path}: is a symbolic link; name the key file itself, {path.resolve()}") from None
         raise UserError(f"{path}: the key file cannot be opened: {error.strerror or error}") from None
-    with os.fdopen(descriptor, "rb") as file:
+    try:
         _judge(path, os.fstat(descriptor))
-        content = file.read(_FILE_MAX + 1)
+        content = os.read(descriptor, _FILE_MAX + 1)
+    finally:
+        os.close(descriptor)
     return SecretKey(_secret_in(path, content))
 
 
