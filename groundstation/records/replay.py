@@ -7,6 +7,7 @@ the mission object again (that needs more than a log) and draws nothing.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -269,6 +270,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
                 noise_bytes += len(record.data)
     mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
     result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    _check_kinds(path, mission, result)
     if result.get("local_origins_enu_m"):
         # Where the local frames begin was settled just before arming; vehicles by GPS may have moved theirs until then.
         settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), start_ns)
@@ -290,6 +292,32 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         noise_bytes=noise_bytes,
         message=reader.message,
     )
+
+
+def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> None:
+    """Looks whether what is read here has the kinds of values that it is read as.
+
+    Raises:
+        UserError: a manifest of another program, or a damaged one.
+    """
+    for where, values, key, kinds in (
+        ("mission", mission, "vehicles", list),
+        ("mission", mission, "formation", Mapping),
+        ("mission", mission, "avoidance", Mapping),
+        ("result", result, "local_origins_enu_m", list),
+    ):
+        if not isinstance(values.get(key), kinds | None):
+            raise UserError(f"{path}: manifest: {where}.{key}: {reprlib.repr(values[key])}; the manifest is damaged")
+    for index, vehicle in enumerate(mission.get("vehicles") or ()):
+        sysid = vehicle.get("id") if isinstance(vehicle, Mapping) else None
+        if type(sysid) is not int or not 0 <= sysid <= 255:
+            raise UserError(f"{path}: manifest: mission.vehicles[{index}]: no usable id; the manifest is damaged")
+    for index, origin in enumerate(result.get("local_origins_enu_m") or ()):
+        if not isinstance(origin, list | None):
+            raise UserError(
+                f"{path}: manifest: result.local_origins_enu_m[{index}]: {reprlib.repr(origin)}; the manifest is"
+                " damaged"
+            )
 
 
 def _tracks(
