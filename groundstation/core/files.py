@@ -15,6 +15,7 @@ from groundstation.core.errors import UserError
 Model = TypeVar("Model", bound=BaseModel)
 _BYTES_MAX = 32 << 20
 _VALUES_MAX = 5_000_000  # counted with every alias written out: that is what whoever walks through them meets
+_DEPTH_MAX = 100
 _NUMBER_MAX = 400  # characters; the largest float has 309 digits
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _short = reprlib.Repr()
@@ -28,6 +29,11 @@ class _UniqueKeyLoader(yaml.SafeLoader):
     Aliases are taken, but neither those that grow beyond all bounds when they are written out nor those that hold
     themselves; and no numbers that would take Python minutes to read.
     """
+
+    def fetch_flow_collection_start(self, TokenClass: Any) -> None:
+        if self.flow_level >= _DEPTH_MAX:  # PyYAML's time grows with the cube of it
+            raise yaml.scanner.ScannerError(None, None, f"nested more than {_DEPTH_MAX} deep", self.get_mark())
+        super().fetch_flow_collection_start(TokenClass)
 
     def get_single_node(self) -> yaml.Node | None:
         node = super().get_single_node()

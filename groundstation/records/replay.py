@@ -412,7 +412,8 @@ def _formation(path: Path, mission: Mapping[str, Any]) -> FlightFormation | None
     if not isinstance(given, Mapping):
         return None
     where = f"{path}: manifest: mission.formation"
-    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * float(given.get("scale", 1.0))
+    scale = _vectors(f"{where}.scale", given.get("scale", 1.0), ())
+    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
     edges = given.get("edges", ())
     n = len(points)
     if edges == "complete":
@@ -439,9 +440,11 @@ def _vectors(where: str, value: object, shape: tuple[int, ...]) -> FloatArray:
     try:
         array = np.array(value, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{where}: {value!r} are not the numbers expected; the manifest is damaged") from error
+        raise UserError(
+            f"{where}: {reprlib.repr(value)} are not the numbers expected; the manifest is damaged"
+        ) from error
     if not np.all(np.isfinite(array)):
-        raise UserError(f"{where}: {value!r}: expected finite numbers; the manifest is damaged")
+        raise UserError(f"{where}: {reprlib.repr(value)}: expected finite numbers; the manifest is damaged")
     return array
 
 
