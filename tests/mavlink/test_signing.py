@@ -194,6 +194,12 @@ def test_after_hearing_a_vehicle_that_is_ahead_our_frames_are_new_to_it() -> Non
     assert _heard(ahead, signing.sign(raw, 0, NOW)) == ["HEARTBEAT"]
 
 
+def test_a_vehicle_at_the_end_of_time_does_not_take_us_there() -> None:
+    signing = Signing(SecretKey(SECRET))
+    assert signing.check(_said(_peer(timestamp=LATEST - 5)), NOW) is Verdict.GOOD
+    assert timestamp_of(_frame(signing.sign(Encoder(255).encode("HEARTBEAT"), 0, NOW))) == NOW
+
+
 def test_the_end_of_time_is_an_error_and_not_a_time_stamp_of_zero() -> None:
     with pytest.raises(ValueError, match="beyond the last one"):
         Signing(SecretKey(SECRET), Times(sent=LATEST)).sign(Encoder(255).encode("HEARTBEAT"), 0, NOW)
