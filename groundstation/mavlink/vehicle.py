@@ -478,7 +478,9 @@ class Fleet:
                     continue
                 data = b"".join(piece for _, piece in sorted(pieces[1].items()))
                 del self._pieces[vehicle]
-            words = data.decode("utf-8", "replace").rstrip("\t\n ")
+            decoded = data.decode("utf-8", "replace").rstrip("\t\n ")
+            # Whatever could move a terminal's cursor or feign another line is not shown.
+            words = "".join(letter if letter.isprintable() else " " for letter in decoded)
             self._texts.append(Text(vehicle, int(values["severity"]), words, t))
 
     def _timesync_message(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:

@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
 from groundstation.core.errors import UserError
-from groundstation.core.files import read_yaml, validate
+from groundstation.core.files import parse_yaml_value, read_yaml, validate
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.regions import SafetyRegion, SafetySphere, UprightRegion, build_region
 from groundstation.core.types import FloatArray
@@ -387,8 +386,8 @@ def _override(values: dict[str, Any], override: str) -> None:
     if not separator or not path:
         raise UserError(f"--set {override}: expected key.path=value, for example speed_limit_m_s=0.3")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
+        value = parse_yaml_value(text, path)
+    except UserError:
         raise UserError(f"--set {override}: the value is not valid YAML") from None
     *parents, last = path.split(".")
     place: Any = values

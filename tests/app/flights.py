@@ -12,7 +12,7 @@ from groundstation.app.session import Session
 from groundstation.app.signing import open_gate
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Note, Phase, Runner
-from groundstation.records.manifest import Manifest, manifest_path, write_manifest
+from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
 from sitl.world import Outgoing, World, WorldConfig
 
@@ -47,7 +47,7 @@ class Flight:
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self.gate = open_gate(plan, 0, keep_times=False)
+        self.gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
         self.runner = Runner(plan, 0, whole_frames=self.gate is not None, take_over=take_over)
         self.notes: list[Note] = []
         self.now_ns = 0

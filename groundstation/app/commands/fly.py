@@ -120,7 +120,8 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
         troubles = link_troubles(links)
     runner = session.runner
     for number, rates in enumerate(plan.rates):
-        out.console.print(rates.words(plan.links[number], plan.link_of_vehicle.count(number)))
+        signed = "signed" if number in plan.signed_links else "not signed"
+        out.console.print(f"{rates.words(plan.links[number], plan.link_of_vehicle.count(number))}, {signed}")
     table = Table("vehicle", "state")
     problems = {text.partition(":")[0]: text.partition(": ")[2] for text in runner.problems}
     for vehicle in plan.spec.vehicles:
