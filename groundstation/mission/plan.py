@@ -201,12 +201,13 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
     if spec.steps[0].form is None:
         raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
-    _check_vehicles(spec, formation, source)
+    profiles = known_profiles(spec, source)
+    _check_vehicles(spec, formation, source, profiles)
     _check_room(spec, formation, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
     rates = _fit_links(spec, addresses, source)
-    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
+    profile = slowest(profiles[vehicle.profile] for vehicle in spec.vehicles)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
@@ -322,7 +323,28 @@ def _relative(mission: Path, name: str, key: str) -> Path:
     return path
 
 
-def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> None:
+def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
+    """The profiles that come along and those of the mission.
+
+    Raises:
+        UserError: one of the mission's is like none that is known.
+    """
+    profiles = dict(PROFILES)
+    for name, given in spec.profiles.items():
+        like = given.like or name
+        if like not in PROFILES:
+            raise UserError(
+                f"{source}: profiles.{name}.like: {like} is not known; name one of {', '.join(PROFILES)}, whose other"
+                " figures it has"
+            )
+        figures = given.model_dump(exclude={"like"}, exclude_none=True)
+        profiles[name] = replace(PROFILES[like], name=name, **figures)
+    return profiles
+
+
+def _check_vehicles(
+    spec: MissionSpec, formation: Formation, source: str, profiles: Mapping[str, VehicleProfile]
+) -> None:
     vehicles = spec.vehicles
     if len(vehicles) != formation.size:
         raise UserError(
@@ -339,8 +361,8 @@ def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> Non
         first_with[vehicle.id] = number
         if vehicle.autopilot not in AUTOPILOTS:
             raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
-        if vehicle.profile not in PROFILES:
-            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(PROFILES)}")
+        if vehicle.profile not in profiles:
+            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(profiles)}")
         try:
             parse_address(vehicle.link)
         except UserError as error:
