@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("report", "Draw the pictures of a log."),
     "import": ("import_", "Turn another program's recorded flight into a log."),
     "campaign": ("campaign", "Fly a mission many times over random starts and faults, and sum up."),
+    "identify": ("identify", "Find lag and delay of each vehicle's velocity loop in a log."),
     "bench": ("bench", "Measure speed, as ratios in one run."),
 }
 """Command name: module in ``groundstation.app.commands``, help for the overview."""

@@ -58,7 +58,7 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
             VehicleConfig(
                 sysid=vehicle.id,
                 autopilot=vehicle.autopilot,
-                profile=vehicle.profile,
+                profile=_flown(plan, vehicle.profile),
                 pad_enu_m=vehicle.pad_m,
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
@@ -75,6 +75,12 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     if anchor is not None:
         config = replace(config, home_lat_deg=anchor.lat_deg, home_lon_deg=anchor.lon_deg, home_alt_m=anchor.alt_m)
     return config
+
+
+def _flown(plan: MissionPlan, profile: str) -> str:
+    """The emulator's profile for one of the mission's: a mission's own figures do not change how vehicles fly."""
+    own = plan.spec.profiles.get(profile)
+    return profile if own is None or own.like is None else own.like
 
 
 def read_faults(path: Path | None, plan: MissionPlan) -> tuple[Fault, ...]:

@@ -50,6 +50,7 @@ class MissionPlan:
         formation: points and sensing graph, ENU.
         gains: checked against the formation.
         gains_npz: the gains file that they came from, for the record.
+        vehicle_profiles: figures of each vehicle.
         profile: the slowest vehicle's figures, with the delay of the links and the error of the positions.
         control_gain: k that multiplies (14).
         scale: f of (14).
@@ -72,6 +73,7 @@ class MissionPlan:
     formation: Formation
     gains: Gains
     gains_npz: bytes
+    vehicle_profiles: tuple[VehicleProfile, ...]
     profile: VehicleProfile
     control_gain: float
     scale: ScaleFunction
@@ -151,7 +153,7 @@ class MissionPlan:
     @property
     def slowness(self) -> float:
         """How many times more gently points are approached because of the links' delay; 1 without any."""
-        own = replace(self.profile, delay_s=slowest(PROFILES[v.profile] for v in self.spec.vehicles).delay_s)
+        own = replace(self.profile, delay_s=slowest(self.vehicle_profiles).delay_s)
         return approach_rate_1_s(own, self.lead_s) / approach_rate_1_s(self.profile, self.lead_s)
 
     def rates_of(self, vehicle: int) -> LinkRates:
@@ -265,8 +267,10 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
     if spec.steps[0].form is None:
         raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
-    _check_vehicles(spec, formation, source)
-    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
+    profiles = known_profiles(spec, source)
+    _check_vehicles(spec, formation, source, profiles)
+    vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)
+    profile = slowest(vehicle_profiles)
     _check_room(spec, formation, pads, profile, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
@@ -306,6 +310,7 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         formation=formation,
         gains=gains,
         gains_npz=gains_npz,
+        vehicle_profiles=vehicle_profiles,
         profile=profile,
         control_gain=automatic if spec.gain == "auto" else spec.gain,
         scale=scale,
@@ -417,7 +422,28 @@ def _relative(mission: Path, name: str, key: str) -> Path:
     return path
 
 
-def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> None:
+def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
+    """The profiles that come along and those of the mission.
+
+    Raises:
+        UserError: one of the mission's is like none that is known.
+    """
+    profiles = dict(PROFILES)
+    for name, given in spec.profiles.items():
+        like = given.like or name
+        if like not in PROFILES:
+            raise UserError(
+                f"{source}: profiles.{name}.like: {like} is not known; name one of {', '.join(PROFILES)}, whose other"
+                " figures it has"
+            )
+        figures = given.model_dump(exclude={"like"}, exclude_none=True)
+        profiles[name] = replace(PROFILES[like], name=name, **figures)
+    return profiles
+
+
+def _check_vehicles(
+    spec: MissionSpec, formation: Formation, source: str, profiles: Mapping[str, VehicleProfile]
+) -> None:
     vehicles = spec.vehicles
     if len(vehicles) != formation.size:
         raise UserError(
@@ -434,8 +460,8 @@ def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> Non
         first_with[vehicle.id] = number
         if vehicle.autopilot not in AUTOPILOTS:
             raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
-        if vehicle.profile not in PROFILES:
-            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(PROFILES)}")
+        if vehicle.profile not in profiles:
+            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(profiles)}")
         try:
             parse_address(vehicle.link)
         except UserError as error:

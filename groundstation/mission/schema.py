@@ -173,6 +173,16 @@ class VehicleSpec(_Strict):
         return self
 
 
+class ProfileSpec(_Strict):
+    """A profile of this mission, or other figures for one that is known; what is not given is as in ``like``."""
+
+    like: str | None = None
+    lag_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    delay_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    acceleration_max_m_s2: Annotated[Number, Field(gt=0, le=100)] | None = None
+    position_error_m: Positive | None = None
+
+
 class MissionSpec(_Strict):
     """The whole file."""
 
@@ -204,4 +214,5 @@ class MissionSpec(_Strict):
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
     signing: SigningSpec | None = None
+    profiles: dict[str, ProfileSpec] = {}
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]
