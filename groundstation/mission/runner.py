@@ -20,7 +20,9 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
+from groundstation.mission.check_table import CheckRow
 from groundstation.mission.climb import Climb
+from groundstation.mission.failsafe import FailsafePlan
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.landing import Landing
 from groundstation.mission.monitor import Monitor, Sight
@@ -164,6 +166,15 @@ class Runner:
         airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)
         return airborne
 
+    def check_rows(self) -> list[CheckRow]:
+        """What preflight found, a row for each vehicle."""
+        return self._preflight.rows(self.problems, self._last_step_ns)
+
+    @property
+    def failsafe(self) -> FailsafePlan:
+        """What the team does when the ground station is gone."""
+        return self._preflight.checks.failsafe
+
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""
         notes, self._notes = self._notes, []
@@ -210,6 +221,8 @@ class Runner:
         streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
+        if self.phase is Phase.SILENT:
+            return []  # heartbeats too: some autopilots act only when those are gone
         velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
@@ -386,7 +399,10 @@ class Runner:
     def _come_down(self, now_ns: int) -> None:
         """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
         up = self._landing.still_up(self._phase_ns, now_ns, self._released)
-        late = now_ns - self._phase_ns >= _DOWN_MAX_NS
+        down_max_ns = _DOWN_MAX_NS
+        if self.phase is Phase.SILENT and np.isfinite(self.failsafe.down_s):
+            down_max_ns += round(self.failsafe.down_s) * _SECOND_NS
+        late = now_ns - self._phase_ns >= down_max_ns
         if up.any() and not late:
             self._steady_since_ns = NEVER
             return
@@ -397,7 +413,7 @@ class Runner:
             self._abort(f"{', '.join(names)}: not heard from any more, whether it has landed is not known")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
-            self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
+            self._abort(f"{', '.join(names)}: still armed after {down_max_ns // _SECOND_NS} s of landing")
         self._finish(now_ns)
 
     # What the phases share
@@ -416,7 +432,7 @@ class Runner:
     def _assign(self, poses: Poses) -> None:
         """Gives every vehicle its role, and its place in the air above its pad."""
         plan = self.plan
-        roles = self._preflight.checks.failsafe.roles  # from the pads: what the autopilots were told holds for these
+        roles = self.failsafe.roles  # from the pads: what the autopilots were told holds for these
         self.role_of_agent = roles
         self._task = task_for_roles(plan.formation, plan.gains, roles)
         self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))

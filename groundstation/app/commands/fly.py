@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from groundstation.app.check_screen import check_table, rows_as_values
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
 from groundstation.app.output import Output
@@ -22,7 +23,7 @@ from groundstation.app.session import Session
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
-from groundstation.mission.plan import MissionPlan, load_mission
+from groundstation.mission.plan import MissionPlan, load_mission, read_spec
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
     DRY_RUN_EPOCH_UNIX_US,
@@ -44,6 +45,9 @@ MissionOption = Annotated[
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
 ]
+FixOption = Annotated[
+    bool, typer.Option("--fix", help="Set message rates, and parameters that are not as the mission needs them.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
 
 
@@ -58,6 +62,7 @@ def fly(
         Path | None, typer.Option(help="Timetable of faults (YAML) for a dry run; time 0 is the vehicles' power-up.")
     ] = None,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
+    fix: FixOption = False,
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -70,7 +75,7 @@ def fly(
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
-    plan = load_mission(find_config(mission, "missions"), changes or ())
+    plan = load_mission(find_config(mission, "missions"), _with_fix(changes, fix=fix))
     timetable = read_faults(faults, plan)
     log_path = _log_path(plan, log, dry_run=dry_run, seed=seed)
     started = time.monotonic()
@@ -88,10 +93,12 @@ def fly(
         raise MissionFailed(f"mission {plan.spec.name} aborted: {values['reason']}")
 
 
-def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOption = False) -> None:
+def check(
+    mission: MissionOption, *, fix: FixOption = False, changes: SetOption = None, as_json: JsonOption = False
+) -> None:
     """Checks a mission and its vehicles on their pads; arms nothing."""
     out = Output(as_json=as_json)
-    plan = load_mission(find_config(mission, "missions"), changes or ())
+    plan = _judged(out, find_config(mission, "missions"), _with_fix(changes, fix=fix))
     clock = FlightClock()
     session = Session(Runner(plan, 0, check_only=True), None)
     interrupts = Interrupts()
@@ -104,14 +111,39 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     runner = session.runner
     for number, rates in enumerate(plan.rates):
         out.console.print(rates.words(plan.links[number], plan.link_of_vehicle.count(number)))
-    table = Table("vehicle", "state")
-    problems = {text.partition(":")[0]: text.partition(": ")[2] for text in runner.problems}
-    for vehicle in plan.spec.vehicles:
-        table.add_row(str(vehicle.id), problems.get(f"vehicle {vehicle.id}", "ready"))
-    out.console.print(table)
-    out.result({"mission": plan.spec.name, "ready": runner.outcome == "completed", "problems": runner.problems})
+    rows = runner.check_rows()
+    out.console.print(check_table(rows))
+    out.result(
+        {
+            "mission": plan.spec.name,
+            "ready": runner.outcome == "completed",
+            "problems": runner.problems,
+            "failsafe": runner.failsafe.words,
+            "vehicles": rows_as_values(rows),
+        }
+    )
     if runner.outcome != "completed":
         raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles])))
+
+
+def _with_fix(changes: list[str] | None, *, fix: bool) -> list[str]:
+    """The changes of the command line; ``--fix`` is one of the mission, so that a replay knows of it."""
+    return [*(changes or ()), *(["failsafe.set_parameters=true"] if fix else [])]
+
+
+def _judged(out: Output, path: Path, changes: Sequence[str]) -> MissionPlan:
+    """Loads a mission to be checked: one that does not fit itself is refused, not a mistake of usage.
+
+    Raises:
+        UserError: the file cannot be read.
+        PreflightRefused: gains, formation, pads, fence and r do not fit each other.
+    """
+    spec = read_spec(path, changes)
+    try:
+        return load_mission(path, changes)
+    except UserError as error:
+        out.result({"mission": spec.name, "ready": False, "problems": [str(error)], "failsafe": "", "vehicles": []})
+        raise PreflightRefused(_refusal(str(error))) from None
 
 
 def _refusal(reason: str) -> str:
