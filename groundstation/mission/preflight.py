@@ -319,9 +319,10 @@ class Preflight:
             )
         if not off_m <= plan.pad_error_m:
             positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
-            return self.checks.place_words(vehicle, positions) or (
-                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m; put it on its pad,"
-                " restart it there, or correct pad_m"
+            elsewhere = self.checks.place_words(vehicle, positions)
+            return (
+                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m"
+                f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
             )
         return None
 
