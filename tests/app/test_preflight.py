@@ -172,7 +172,7 @@ def _old(version: int) -> Callable[[World], None]:
 
 def _stubborn(world: World) -> None:
     world.autopilots[0].params.set_value("NAV_DLL_ACT", 0.0)
-    world.autopilots[0].params.set_value = lambda _name, _value: False  # type: ignore[method-assign]
+    world.autopilots[0].params.set_value = lambda name, value: False  # type: ignore[method-assign]
 
 
 ANCHOR = "anchor={lat_deg: 47.397742, lon_deg: 8.545594, alt_m: 488.0}"
