@@ -53,6 +53,7 @@ class Finding:
         name: as the vehicle has it.
         value: as it is, in the parameter's own unit.
         wanted: what to set it to, in the same unit; None where only people can know.
+        meaning: of the value, "" where it is a quantity.
         words: what follows from it.
         grave: nothing may fly with it.
     """
@@ -60,13 +61,21 @@ class Finding:
     name: str
     value: float
     wanted: float | None
+    meaning: str
     words: str
     grave: bool
 
     def text(self) -> str:
         """One line for people."""
         remedy = "" if self.wanted is None else f"; set {plain(self.wanted)}"
-        return f"{self.name} is {plain(self.value)}: {self.words}{remedy}"
+        words = f"{self.meaning}; {self.words}" if self.meaning else self.words
+        return f"{self.name} is {plain(self.value)}: {words}{remedy}"
+
+    def short(self) -> str:
+        """A few words, for one of many."""
+        meaning = f" ({self.meaning})" if self.meaning else ""
+        remedy = "" if self.wanted is None else f", should be {plain(self.wanted)}"
+        return f"{self.name} is {plain(self.value)}{meaning}{remedy}"
 
 
 def plain(value: float) -> str:
@@ -122,9 +131,9 @@ class Rule:
             if math.isfinite(own) and self.fine(own):
                 return None
             grave = not math.isfinite(own) or self.insane(own)
-            meaning = (self.meanings or {}).get(round(own) if math.isfinite(own) else -1)
-            words = f"{meaning}; {self.why}" if meaning else self.why
-            return Finding(name, value, None if self.wanted is None else self.wanted * factor, words, grave)
+            meaning = (self.meanings or {}).get(round(own) if math.isfinite(own) else -1, "")
+            wanted = None if self.wanted is None else self.wanted * factor
+            return Finding(name, value, wanted, meaning, self.why, grave)
         return None
 
 

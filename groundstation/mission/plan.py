@@ -199,6 +199,18 @@ class MissionPlan:
         }
 
 
+def read_spec(path: Path, overrides: Sequence[str] = ()) -> MissionSpec:
+    """Reads a mission file alone; nothing is judged but its shape.
+
+    Raises:
+        UserError: it is no mission file, or an override does not fit it.
+    """
+    values = read_yaml(path)
+    for override in overrides:
+        _override(values, override)
+    return validate(MissionSpec, values, str(path))
+
+
 def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     """Reads a mission file, its formation and its gains; designs the gains where the file names none.
 
@@ -209,10 +221,7 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     Raises:
         UserError: anything wrong, with file, key, value, limit and remedy.
     """
-    values = read_yaml(path)
-    for override in overrides:
-        _override(values, override)
-    spec = validate(MissionSpec, values, str(path))
+    spec = read_spec(path, overrides)
     formation_path = _relative(path, spec.formation, "formation")
     formation = as_in_file = load_formation(formation_path)
     if spec.formation_scale is not None:

@@ -21,7 +21,9 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
+from groundstation.mission.check_table import CheckRow
 from groundstation.mission.climb import Climb
+from groundstation.mission.failsafe import FailsafePlan
 from groundstation.mission.formation_flight import FormationFlight
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.killing import Killing
@@ -118,6 +120,7 @@ class Runner:
         self._resume_to = Phase.CONNECT
         self._resume_phase_ns = start_ns
         self._lands_here = False
+        self._spoken_to = False  # after silence: the operator wants something of the vehicles again
         self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
@@ -169,6 +172,15 @@ class Runner:
         airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)
         return airborne
 
+    def check_rows(self) -> list[CheckRow]:
+        """What preflight found, a row for each vehicle."""
+        return self._preflight.rows(self.problems, self._last_step_ns)
+
+    @property
+    def failsafe(self) -> FailsafePlan:
+        """What the team does when the ground station is gone."""
+        return self._preflight.checks.failsafe
+
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""
         notes, self._notes = self._notes, []
@@ -219,6 +231,8 @@ class Runner:
         streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
+        if self.phase is Phase.SILENT and not (self._spoken_to or self._killing.asked.any()):
+            return []  # heartbeats too: some autopilots act only when those are gone
         velocity = self._sent_ned_m_s = np.where(
             (self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity
         )
@@ -323,7 +337,7 @@ class Runner:
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
-            self._flight.assign(self._preflight.checks.failsafe.roles)
+            self._flight.assign(self.failsafe.roles)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:
@@ -410,7 +424,10 @@ class Runner:
         """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
         up = self._landing.still_up(self._phase_ns, now_ns, self._released)
         up |= self._killing.not_shown() & ~self._landing.lost(now_ns)
-        late = now_ns - self._phase_ns >= _DOWN_MAX_NS
+        down_max_ns = _DOWN_MAX_NS
+        if self.phase is Phase.SILENT and np.isfinite(self.failsafe.down_s):
+            down_max_ns += round(self.failsafe.down_s) * _SECOND_NS
+        late = now_ns - self._phase_ns >= down_max_ns
         if up.any() and not late:
             self._steady_since_ns = NEVER
             return
@@ -424,7 +441,7 @@ class Runner:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
-            self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
+            self._abort(f"{', '.join(names)}: still armed after {down_max_ns // _SECOND_NS} s of landing")
         self._finish(now_ns)
 
     # What the operator says
@@ -477,6 +494,7 @@ class Runner:
     def _land_now(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
         """Some, or all, come down where they are."""
         if self.phase is Phase.SILENT:
+            self._spoken_to = True
             self._landing.want(command.vehicles, now_ns)
             return
         rest = self._rest(poses)

@@ -15,6 +15,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.check_screen import check_table, rows_as_values
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.keys import Keyboard
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
@@ -26,7 +27,7 @@ from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate, open_gate
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 from groundstation.links.opening import open_link
-from groundstation.mission.plan import MissionPlan, load_mission
+from groundstation.mission.plan import MissionPlan, load_mission, read_spec
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
     DRY_RUN_EPOCH_UNIX_US,
@@ -48,6 +49,9 @@ MissionOption = Annotated[
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
 ]
+FixOption = Annotated[
+    bool, typer.Option("--fix", help="Set message rates, and parameters that are not as the mission needs them.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
 
 
@@ -65,6 +69,7 @@ def fly(
         bool, typer.Option("--take-over", help="Bring home vehicles that a ground station left in the air.")
     ] = False,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
+    fix: FixOption = False,
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -82,7 +87,7 @@ def fly(
         raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
-    plan = load_mission(find_config(mission, "missions"), changes or ())
+    plan = load_mission(find_config(mission, "missions"), _with_fix(changes, fix=fix))
     timetable = read_faults(faults, plan)
     log_path = _log_path(plan, log, dry_run=dry_run, seed=seed)
     started = time.monotonic()
@@ -102,10 +107,12 @@ def fly(
         raise MissionFailed(f"mission {plan.spec.name} aborted: {values['reason']}")
 
 
-def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOption = False) -> None:
+def check(
+    mission: MissionOption, *, fix: FixOption = False, changes: SetOption = None, as_json: JsonOption = False
+) -> None:
     """Checks a mission and its vehicles on their pads; arms nothing."""
     out = Output(as_json=as_json)
-    plan = load_mission(find_config(mission, "missions"), changes or ())
+    plan = _judged(out, find_config(mission, "missions"), _with_fix(changes, fix=fix))
     clock = FlightClock()
     gate = open_gate(plan, clock.epoch_unix_us, keep_times=True)
     session = Session(Runner(plan, 0, check_only=True, whole_frames=gate is not None), None, gate)
@@ -122,11 +129,8 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
     for number, rates in enumerate(plan.rates):
         signed = "signed" if number in plan.signed_links else "not signed"
         out.console.print(f"{rates.words(plan.links[number], plan.link_of_vehicle.count(number))}, {signed}")
-    table = Table("vehicle", "state")
-    problems = {text.partition(":")[0]: text.partition(": ")[2] for text in runner.problems}
-    for vehicle in plan.spec.vehicles:
-        table.add_row(str(vehicle.id), problems.get(f"vehicle {vehicle.id}", "ready"))
-    out.console.print(table)
+    rows = runner.check_rows()
+    out.console.print(check_table(rows))
     refused = _refused(plan, gate)
     if runner.outcome == "completed":  # else they are among the reasons
         for line in refused:
@@ -137,10 +141,32 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
             "ready": runner.outcome == "completed",
             "problems": runner.problems,
             "signing": refused,
+            "failsafe": runner.failsafe.words,
+            "vehicles": rows_as_values(rows),
         }
     )
     if runner.outcome != "completed":
         raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles, *refused])))
+
+
+def _with_fix(changes: list[str] | None, *, fix: bool) -> list[str]:
+    """The changes of the command line; ``--fix`` is one of the mission, so that a replay knows of it."""
+    return [*(changes or ()), *(["failsafe.set_parameters=true"] if fix else [])]
+
+
+def _judged(out: Output, path: Path, changes: Sequence[str]) -> MissionPlan:
+    """Loads a mission to be checked: one that does not fit itself is refused, not a mistake of usage.
+
+    Raises:
+        UserError: the file cannot be read.
+        PreflightRefused: gains, formation, pads, fence and r do not fit each other.
+    """
+    spec = read_spec(path, changes)
+    try:
+        return load_mission(path, changes)
+    except UserError as error:
+        out.result({"mission": spec.name, "ready": False, "problems": [str(error)], "failsafe": "", "vehicles": []})
+        raise PreflightRefused(_refusal(str(error))) from None
 
 
 def _refusal(reason: str, what: str | None = None) -> str:
