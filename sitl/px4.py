@@ -493,15 +493,30 @@ class Px4(Autopilot):
         speed = min(slow + share * (fast - slow), self.world.profile_of(self.index).speed_down_max_m_s)
         self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
+    def _rtl_top(self, z: float, home_z: float, far: float) -> float:
+        """Height of the way back: a cone around home where RTL_CONE_ANG says so, never below the present height."""
+        params = self.params
+        highest = home_z + params["RTL_RETURN_ALT"]
+        cone_deg = params["RTL_CONE_ANG"]
+        if cone_deg <= 0:
+            return max(z, highest)
+        near = params["NAV_ACC_RAD"]
+        if far <= near:
+            wanted = home_z + 2.0 * far
+        else:
+            wanted = highest
+            if far <= params["RTL_MIN_DIST"]:
+                wanted = min(home_z + far / math.tan(math.radians(min(max(cone_deg, 1.0), 89.0))), highest)
+            wanted = max(wanted, home_z + 2.0 * near)
+        return z if wanted < z else min(wanted, highest)
+
     def _act_rtl(self, entering: bool) -> None:
         x, y, z = self.pos_est()
         home = self.world.home_enu_m[:, self.index].tolist()
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
-            climbs = far > 5.0 or self.params["RTL_CONE_ANG"] == 0
-            top = max(z, home[2] + self.params["RTL_RETURN_ALT"]) if climbs else z
-            self._hold = (x, y, top)
+            self._hold = (x, y, self._rtl_top(z, home[2], far))
             self.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage = 1

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -144,14 +144,15 @@ class Truth:
         return self.quat_ned_from_frd
 
 
-@dataclass(order=True)
-class _Arrival:
+class _Arrival(NamedTuple):
+    """Something under way; ``order`` is never twice the same, so that what follows it is never compared."""
+
     t_ns: int
     order: int
-    vehicle: int = field(compare=False)
-    peer: str = field(compare=False)
-    data: bytes = field(compare=False)
-    stream: bool = field(compare=False, default=False)
+    vehicle: int
+    peer: str
+    data: bytes
+    stream: bool = False
 
 
 class World:

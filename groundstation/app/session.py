@@ -8,6 +8,7 @@ from __future__ import annotations
 from groundstation.mavlink.codec import Frame
 from groundstation.mavlink.gate import Gate, Refused
 from groundstation.mavlink.station import Outgoing
+from groundstation.mission.operator import parse_command
 from groundstation.mission.runner import Note, Runner
 from groundstation.records.tlog import TlogWriter
 
@@ -23,12 +24,14 @@ class Session:
 
     Attributes:
         notes: what happened since the loop last took it, for the screen.
+        said: what the last tick had to say, for whoever waits for the answer to an order.
     """
 
     def __init__(self, runner: Runner, log: TlogWriter | None, gate: Gate | None = None) -> None:
         self.runner = runner
         self.gate = gate
         self.notes: list[Note] = []
+        self.said: list[Note] = []
         self._log = log
         self._log_problem_told = False
 
@@ -48,11 +51,26 @@ class Session:
             self._log.received(link, peer, data, t_rx_ns)
         self.runner.receive(link, peer, data, t_rx_ns)
 
-    def operator(self, command: str, now_ns: int) -> None:
-        """Takes a command of the operator."""
+    def operator(self, command: str, now_ns: int) -> str:
+        """Takes an order, see ``mission.operator``; it is in the log before it is acted upon.
+
+        Returns:
+            The order in its plain form.
+
+        Raises:
+            ValueError: it is none, in words for people; nothing happens and nothing is recorded.
+        """
+        text = parse_command(command, self.runner.fleet.sysid.tolist()).text
         if self._log is not None:
-            self._log.operator(command, now_ns)
-        self.runner.operator(command)
+            self._log.operator(text, now_ns)
+        self.runner.operator(text)
+        return text
+
+    def remark(self, kind: str, text: str, now_ns: int) -> None:
+        """Tells people something that the runner need not know; in the log it is an event."""
+        if self._log is not None:
+            self._log.event(f"{kind}: {text}", now_ns)
+        self.notes.append(Note(kind, text))
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """Steps the runner and records what it sends and says."""
@@ -76,6 +94,7 @@ class Session:
             if self._log.problem is not None and not self._log_problem_told:
                 self._log_problem_told = True
                 notes.append(Note("alarm", self._log.problem))
+        self.said = notes
         self.notes += notes
         return outgoing + greetings
 

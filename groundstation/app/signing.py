@@ -5,7 +5,7 @@ Refuses to fly with a key whose time stamps cannot be kept: after a restart they
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -71,12 +71,36 @@ def open_gate(plan: MissionPlan, epoch_unix_us: int, *, keep_times: bool) -> Fli
     Raises:
         UserError: a key file, or the file with its times, cannot be used.
     """
-    keys = read_keys(plan)
+    paths = [key_path(plan, link) for link in range(len(plan.links))]
+    link_ids = [plan.link_id(link) for link in range(len(plan.links))]
+    return gate_of(paths, link_ids, epoch_unix_us, streams=plan.stream_links, keep_times=keep_times)
+
+
+def gate_of(
+    paths: Sequence[Path | None],
+    link_ids: Sequence[int],
+    epoch_unix_us: int,
+    *,
+    streams: Collection[int],
+    keep_times: bool,
+) -> FlightGate | None:
+    """Makes a gate of key files, link by link; see ``open_gate``.
+
+    Args:
+        paths: key file of each link, None for one that is not signed.
+        link_ids: link id in our signatures on each link.
+        epoch_unix_us: date of time 0.
+        streams: links on which a frame may arrive in two pieces.
+        keep_times: see ``open_gate``.
+
+    Raises:
+        UserError: a key file, or the file with its times, cannot be used.
+    """
+    known = {path: read_key(path) for path in dict.fromkeys(paths) if path is not None}
     signings: dict[SecretKey, Signing] = {}
     files: list[Path] = []
-    for link, key in enumerate(keys):
-        path = key_path(plan, link)
-        if key is not None and path is not None and key not in signings:
+    for path, key in known.items():
+        if key not in signings:
             files.append(times_path(path))
             signings[key] = Signing(key, read_times(files[-1]) if keep_times else None)
     if not signings:
@@ -87,12 +111,11 @@ def open_gate(plan: MissionPlan, epoch_unix_us: int, *, keep_times: bool) -> Fli
         def store(number: int, times: Times) -> None:
             gate._keep(files[number], times, MINUTE, durable=False)
 
-    gate = FlightGate(
-        [None if key is None else SignedLink(signings[key], plan.link_id(link)) for link, key in enumerate(keys)],
-        epoch_unix_us,
-        streams=plan.stream_links,
-        store=store,
-    )
+    links = [
+        None if path is None else SignedLink(signings[known[path]], link_id)
+        for path, link_id in zip(paths, link_ids, strict=True)
+    ]
+    gate = FlightGate(links, epoch_unix_us, streams=streams, store=store)
     if keep_times:
         gate.files = tuple(files)
         gate.close()  # a try, before anything is armed

@@ -66,7 +66,7 @@ def verify_log(path: Path) -> VerifyResult:
     plan = plan_from_record(manifest.mission, manifest.gains_npz, f"manifest of {path}")
     reader = read_tlog(path, manifest.epoch_unix_us)
     result = VerifyResult()
-    runner = Runner(plan, start_ns=0, whole_frames=True)
+    runner = Runner(plan, start_ns=0, whole_frames=True, take_over=manifest.take_over)
     expected: list[bytes] = []
     recorded: list[Frame] = []
     for record in reader:

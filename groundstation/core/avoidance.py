@@ -29,6 +29,8 @@ from groundstation.core.views import LocalViews
 
 _MOST_AT_ONCE = 1_000_000
 """Candidates times regions that are held against each other in one go."""
+_FIRST = 32
+"""So many candidates are held against the regions first, the nearest ones where there are more."""
 _TOGETHER = 16
 """So few agents are turned together, whatever their candidates."""
 
@@ -148,15 +150,40 @@ def _nearest_free(direction: FloatArray, cones: Blocked, rows: IntArray) -> tupl
             stop += 1
         part = order[start:stop]
         some = cones.take(*_columns(cones.active, rows[part]))
-        candidates, valid = some.candidates(direction[part])
-        met = (some.meets(candidates) & some.active[:, None]).any(axis=2)
-        cosine = np.where(valid & ~met, dot(candidates, direction[part][:, None]), -np.inf)
-        score = cosine + some.preference(candidates, direction[part])
-        chosen = (np.arange(len(part)), np.argmax(score, axis=1))
-        # Within 90 degrees means strictly: a rotation of 90 degrees makes no progress and Theorem 2 does not cover it.
-        best[part], free[part] = candidates[chosen], cosine[chosen] > 1e-12
+        best[part], free[part] = _best_candidate(some, direction[part])
         start = stop
     return best, free
+
+
+def _best_candidate(cones: Blocked, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """The candidate (m, 3) nearest to each direction that leads into no region, and whether there is one (m,).
+
+    Where there are many, the nearest are tried first: mostly one of those is free.
+    """
+    candidates, valid = cones.candidates(direction)
+    cosine = np.where(valid, dot(candidates, direction[:, None]), -np.inf)
+    # Within 90 degrees means strictly: a rotation of 90 degrees makes no progress and Theorem 2 does not cover it.
+    score = np.where(cosine > 1e-12, cosine, -np.inf) + cones.preference(candidates, direction)
+    if score.shape[1] <= 2 * _FIRST:
+        return _first_free(cones, candidates, score)
+    everybody = np.arange(len(score))
+    order = np.argsort(-score, axis=1, kind="stable")
+    nearest = (everybody[:, None], order[:, :_FIRST])
+    best, found = _first_free(cones, candidates[nearest], score[nearest])
+    rows = np.flatnonzero(~found)
+    if rows.size:
+        others = (rows[:, None], order[rows, _FIRST:])
+        some = cones.take(rows[:, None], np.arange(cones.active.shape[1])[None])
+        best[rows], found[rows] = _first_free(some, candidates[others], score[others])
+    return best, found
+
+
+def _first_free(cones: Blocked, candidates: FloatArray, score: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """The free candidate (m, 3) with the highest score (m, c), and whether there is one (m,)."""
+    met = (cones.meets(candidates) & cones.active[:, None]).any(axis=2)
+    score = np.where(met, -np.inf, score)
+    chosen = (np.arange(len(score)), np.argmax(score, axis=1))
+    return candidates[chosen], np.asarray(score[chosen] > -np.inf, dtype=np.bool_)
 
 
 def _columns(active: BoolArray, rows: IntArray) -> tuple[IntArray, IntArray]:

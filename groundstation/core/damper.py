@@ -191,23 +191,22 @@ def walls(rot_ned_from_flu: FloatArray, low_m_s: FloatArray, high_m_s: FloatArra
     return normals, np.concatenate([low_m_s, high_m_s], axis=1)
 
 
-def fitting_margin_m(margin_m: float, radius_m: float, shortest_m: float) -> float:
-    """Shrinks a margin so that the formation can be reached: at most half of what its shortest distance leaves.
+def fitting_margin_m(margin_m: float, room_m: float) -> float:
+    """Shrinks a margin so that the formation can be reached: at most half of the room that it leaves.
 
     Args:
         margin_m: what position errors ask for.
-        radius_m: r.
-        shortest_m: shortest distance between two points of the formation, > r.
+        room_m: by how much the region can grow before the formation touches it, > 0.
 
     Returns:
         The margin, metres.
 
     Raises:
-        ValueError: a shortest distance that is not above r: the formation cannot be reached.
+        ValueError: no room: the formation cannot be reached.
     """
-    if not shortest_m > radius_m:
-        raise ValueError(f"formation: shortest distance is {shortest_m} m, must be above the radius {radius_m} m")
-    return min(margin_m, 0.5 * (shortest_m - radius_m))
+    if not room_m > 0.0:
+        raise ValueError(f"formation: leaves {room_m} m of room around the safety region, must be positive")
+    return min(margin_m, 0.5 * room_m)
 
 
 def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray, FloatArray]:
@@ -229,8 +228,8 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
     parting = np.where(np.isfinite(rate), np.minimum(rate, 0.0), -params.speed_limit_m_s)
     left = distance + params.horizon_s * parting
     bounds = 0.5 * params.rate_1_s * left
-    unsteered = seen & (views.extra_m > 0.0)
-    if unsteered.any():
+    if views.extra_m.any():
+        unsteered = seen & (views.extra_m > 0.0)
         own = views.vel_flu_m_s[:, None]
         towards = normals[..., 0] * own[..., 0] + normals[..., 1] * own[..., 1] + normals[..., 2] * own[..., 2]
         # Of an obstacle whose velocity is unknown no more is known than that the pair may close at full speed.

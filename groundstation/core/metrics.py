@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -47,6 +48,27 @@ def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None) -> float
     distances = pair_distances_m(pos_m[here])
     first, second = np.triu_indices(len(distances), 1)
     return float(distances[first, second].min()) if len(first) else float("inf")
+
+
+def min_clearance(pos_m: FloatArray, region: SafetyRegion, counted: BoolArray | None = None) -> float:
+    """Smallest clearance between two counted agents in a safety region's own norm: below 1, one is inside.
+
+    Args:
+        pos_m: shape (n, 3), any frame whose third axis is vertical; unknown positions (NaN) count as nobody.
+        region: the safety region.
+        counted: who counts, shape (n,); everybody when absent.
+
+    Returns:
+        Dimensionless; infinite when fewer than two agents count.
+    """
+    if isinstance(region, SafetySphere):
+        return min_distance_m(pos_m, counted) / region.radius_m
+    here = np.isfinite(pos_m).all(axis=1)
+    if counted is not None:
+        here = here & counted
+    first, second = np.triu_indices(int(here.sum()), 1)
+    known = pos_m[here]
+    return float(region.clearance(known[second] - known[first]).min(initial=np.inf))
 
 
 def vertical_orientation(height_m: FloatArray, points_height_m: FloatArray, role_of_agent: IntArray) -> float:

@@ -12,10 +12,11 @@ import os
 import serial
 
 from groundstation.core.errors import UserError
-from groundstation.links.link import RETRY_NS, Backlog
+from groundstation.links.link import Backlog
 from groundstation.mavlink.addresses import LinkAddress
 
 _READ_BYTES = 65_536
+_RETRY_NS = 200_000_000  # looking costs nothing, and an autopilot waits for setpoints no longer than a second
 
 
 class SerialLink:
@@ -61,11 +62,11 @@ class SerialLink:
         return (self._device,)
 
     def service(self, now_ns: int) -> None:
-        """Opens the port again once a second while it is gone; sends what waits."""
+        """Opens the port again as soon as it is there; sends what waits."""
         if self._port is not None:
             self._flush()
         elif self._next_ns is None or now_ns >= self._next_ns:
-            self._next_ns = now_ns + RETRY_NS
+            self._next_ns = now_ns + _RETRY_NS
             self._open()
 
     def receive(self) -> list[tuple[str, bytes]]:

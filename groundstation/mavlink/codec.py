@@ -10,6 +10,7 @@ clock.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ _HEADER_V1 = 6
 _HEADER_V2 = 10
 _CRC_BYTES = 2
 _SIGNATURE_BYTES = 13
+_MAGIC = re.compile(b"[\xfd\xfe]")
 INCOMPAT_SIGNED = 0x01
 
 StructuredArray = NDArray[np.void]
@@ -173,7 +175,8 @@ class FrameSplitter:
     The pieces that ``feed`` returns, joined in order (``raw`` of the frames), are the bytes that went in, but for
     what a stream still holds back because its frame is not complete. Where a checksum fails, the search goes on at
     the very next byte, so that noise never takes a good frame with it. A frame with an id that the dialect does not
-    know has no checksum we could test: it is taken by its length when a frame starts behind it or nothing follows.
+    know has no checksum we could test: it is taken by its length when a frame starts behind it or nothing follows, and
+    no frame whose checksum is right begins inside it.
 
     Args:
         datagrams: True when frames never span two calls (UDP); what is incomplete at the end of a call is noise then.
@@ -198,13 +201,14 @@ class FrameSplitter:
         position = noise_start = 0
         end = len(buffer)
         while position < end:
-            frame = None
-            if buffer[position] in (MAGIC_V2, MAGIC_V1):
-                frame = _frame_at(buffer, position)
-                if frame is _INCOMPLETE:
-                    if not self._datagrams:
-                        break
-                    frame = None
+            magic = _MAGIC.search(buffer, position)
+            if magic is None:
+                position = end
+                break
+            position = magic.start()
+            frame = _frame_at(buffer, position, more=not self._datagrams)
+            if frame is _INCOMPLETE and not self._datagrams:
+                break
             if isinstance(frame, Frame):
                 if noise_start < position:
                     pieces.append(buffer[noise_start:position])
@@ -217,6 +221,12 @@ class FrameSplitter:
             pieces.append(buffer[noise_start:position])
         self._held = buffer[position:]
         return pieces
+
+
+def whole_frame(raw: bytes) -> Frame | None:
+    """Reads bytes that are one frame and nothing else; None when they are not."""
+    frame = _frame_at(raw, 0) if raw and raw[0] in (MAGIC_V1, MAGIC_V2) else None
+    return frame if isinstance(frame, Frame) and len(frame.raw) == len(raw) else None
 
 
 class Splitters:
@@ -250,8 +260,11 @@ class Splitters:
 _INCOMPLETE = object()
 
 
-def _frame_at(buffer: bytes, start: int) -> Frame | object | None:
-    """Reads the frame that starts with the magic byte at ``start``; None when there is none, or _INCOMPLETE."""
+def _frame_at(buffer: bytes, start: int, *, more: bool = False) -> Frame | object | None:
+    """Reads the frame that starts with the magic byte at ``start``; None when there is none, or _INCOMPLETE.
+
+    ``more`` says that further bytes may follow those of the buffer.
+    """
     available = len(buffer) - start
     if buffer[start] == MAGIC_V2:
         if available < _HEADER_V2:
@@ -274,6 +287,12 @@ def _frame_at(buffer: bytes, start: int) -> Frame | object | None:
     if extra is None:
         if frame_end < len(buffer) and buffer[frame_end] not in (MAGIC_V1, MAGIC_V2):
             return None
+        for magic in _MAGIC.finditer(buffer, start + 1, frame_end):
+            inner = _checked_at(buffer, magic.start())
+            if isinstance(inner, Frame):
+                return None  # noise before a good frame
+            if inner is _INCOMPLETE and more:
+                return _INCOMPLETE  # it may become one
     elif crc16.mcrf4xx(buffer[start + 1 : body_end] + extra) != buffer[body_end] | buffer[body_end + 1] << 8:
         return None
     payload = buffer[start + header : body_end]
@@ -299,6 +318,15 @@ def flagged(raw: bytes, *, signed: bool) -> bytes:
     body = raw[1:2] + bytes((flags,)) + raw[3:body_end]
     checksum: int = crc16.mcrf4xx(body + extra)
     return raw[:1] + body + checksum.to_bytes(2, "little")
+
+
+def _checked_at(buffer: bytes, start: int) -> Frame | object | None:
+    """The same for frames alone whose checksum can be tested; _INCOMPLETE for what may become one of them."""
+    id_bytes = buffer[start + 7 : start + 10] if buffer[start] == MAGIC_V2 else buffer[start + 5 : start + 6]
+    whole_header = len(id_bytes) == (3 if buffer[start] == MAGIC_V2 else 1)
+    if whole_header and int.from_bytes(id_bytes, "little") not in _crc_extra_bytes():
+        return None
+    return _frame_at(buffer, start)
 
 
 def decode(frames: Sequence[Frame]) -> list[Batch]:

@@ -53,6 +53,7 @@ class Finding:
         name: as the vehicle has it.
         value: as it is, in the parameter's own unit.
         wanted: what to set it to, in the same unit; None where only people can know.
+        meaning: of the value, "" where it is a quantity.
         words: what follows from it.
         grave: nothing may fly with it.
     """
@@ -60,13 +61,21 @@ class Finding:
     name: str
     value: float
     wanted: float | None
+    meaning: str
     words: str
     grave: bool
 
     def text(self) -> str:
         """One line for people."""
         remedy = "" if self.wanted is None else f"; set {plain(self.wanted)}"
-        return f"{self.name} is {plain(self.value)}: {self.words}{remedy}"
+        words = f"{self.meaning}; {self.words}" if self.meaning else self.words
+        return f"{self.name} is {plain(self.value)}: {words}{remedy}"
+
+    def short(self) -> str:
+        """A few words, for one of many."""
+        meaning = f" ({self.meaning})" if self.meaning else ""
+        remedy = "" if self.wanted is None else f", should be {plain(self.wanted)}"
+        return f"{self.name} is {plain(self.value)}{meaning}{remedy}"
 
 
 def plain(value: float) -> str:
@@ -122,9 +131,9 @@ class Rule:
             if math.isfinite(own) and self.fine(own):
                 return None
             grave = not math.isfinite(own) or self.insane(own)
-            meaning = (self.meanings or {}).get(round(own) if math.isfinite(own) else -1)
-            words = f"{meaning}; {self.why}" if meaning else self.why
-            return Finding(name, value, None if self.wanted is None else self.wanted * factor, words, grave)
+            meaning = (self.meanings or {}).get(round(own) if math.isfinite(own) else -1, "")
+            wanted = None if self.wanted is None else self.wanted * factor
+            return Finding(name, value, wanted, meaning, self.why, grave)
         return None
 
 
@@ -146,6 +155,17 @@ def _simple(name: str) -> tuple[tuple[str, float], ...]:
     return ((name, 1.0),)
 
 
+def setpoint_loss_s(setpoint_s: float) -> float:
+    """Time without setpoints after which a vehicle shall stop.
+
+    Until then it flies on by the last one, which two that were about to turn away from each other must not do for long:
+    of teams that lost their ground station while forming, with PX4's second, some came nearer than r
+    (docs/safety.md).
+    """
+    return max(0.3, 4.0 * setpoint_s)
+
+
+_BLIND_FLIGHT = "so long it flies on by its last setpoint when they stop, and keeps clear of nobody"
 _STACKED = "others may be below"
 _GONE = "the ground station may be gone for good"
 
@@ -180,8 +200,8 @@ class Px4Failsafes(Failsafes):
             lost_insane = _one_of(0, 1, 2, 4, *falls)
         rules = [
             Rule(
-                _simple("COM_OF_LOSS_T"), 1.0, "time without setpoints after which it reacts",
-                lambda value: max(0.2, 3.0 * period_s) <= value <= 2.0,
+                _simple("COM_OF_LOSS_T"), setpoint_loss_s(period_s), _BLIND_FLIGHT,
+                lambda value: max(0.2, 3.0 * period_s) <= value <= max(0.5, 5.0 * period_s),
                 lambda value: not 2.0 * period_s <= value <= 5.0,
             ),
             Rule(
@@ -285,8 +305,8 @@ class ArduCopterFailsafes(Failsafes):
         """Setpoint loss, ground station loss, the way home, remote control, battery, estimator, speed limits."""
         rules = [
             Rule(
-                _simple("GUID_TIMEOUT"), 1.0, "so long it keeps the last velocity when setpoints stop",
-                lambda value: max(0.2, 3.0 * wish.setpoint_s) <= value <= 1.5,
+                _simple("GUID_TIMEOUT"), setpoint_loss_s(wish.setpoint_s), _BLIND_FLIGHT,
+                lambda value: max(0.2, 3.0 * wish.setpoint_s) <= value <= max(0.5, 5.0 * wish.setpoint_s),
                 lambda value: not 2.0 * wish.setpoint_s <= value <= 3.0,
             ),
             *self._station_lost(wish),

@@ -112,6 +112,12 @@ class Gate:
                     self._behind[link, peer] = None
                 yield Refused(piece, verdict)
 
+    def let_in(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> Iterator[bytes]:
+        """The same for those who do not want to know what was refused: the bytes that are let in."""
+        for piece in self.receive(link, peer, data, t_rx_ns):
+            if not isinstance(piece, Refused):
+                yield piece.raw if isinstance(piece, Frame) else piece
+
     def sign(self, outgoing: Sequence[Outgoing], now_ns: int) -> list[Outgoing]:
         """Signs what is sent now, and has the times stored before anybody can hear of them."""
         clock = self._clock(now_ns)

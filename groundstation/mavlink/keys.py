@@ -22,7 +22,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from groundstation.core.errors import UserError
-from groundstation.mavlink.signing import KEY_BYTES, LATEST, SecretKey, Times
+from groundstation.mavlink.signing import ADOPTED_MAX, KEY_BYTES, LATEST, SecretKey, Times
 
 _FILE_MAX = 1_024
 _TIMES_MAX = 1 << 20
@@ -46,9 +46,11 @@ def read_key(path: Path) -> SecretKey:
         if error.errno == errno.ELOOP:
             raise UserError(f"{path}: is a symbolic link; name the key file itself, {path.resolve()}") from None
         raise UserError(f"{path}: the key file cannot be opened: {error.strerror or error}") from None
-    with os.fdopen(descriptor, "rb") as file:
+    try:
         _judge(path, os.fstat(descriptor))
-        content = file.read(_FILE_MAX + 1)
+        content = os.read(descriptor, _FILE_MAX + 1)
+    finally:
+        os.close(descriptor)
     return SecretKey(_secret_in(path, content))
 
 
@@ -133,8 +135,8 @@ def read_times(path: Path) -> Times:
     try:
         values = json.loads(content)
         times = Times(
-            sent=_stamp(values["sent"]),
-            newest=_stamp(values["newest"]),
+            sent=_stamp(values["sent"], ADOPTED_MAX),
+            newest=_stamp(values["newest"], ADOPTED_MAX),
             streams={(_byte(s), _byte(c), _byte(k)): _stamp(t) for s, c, k, t in values["streams"]},
         )
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -174,8 +176,8 @@ def write_times(path: Path, times: Times, ahead: int, *, durable: bool) -> None:
     part.replace(path)
 
 
-def _stamp(value: object) -> int:
-    if type(value) is not int or not 0 <= value <= LATEST:
+def _stamp(value: object, limit: int = LATEST) -> int:
+    if type(value) is not int or not 0 <= value <= limit:
         raise ValueError("no time stamp")
     return value
 

@@ -27,6 +27,8 @@ KEY_BYTES = 32
 EPOCH_UNIX_US = 1_420_070_400_000_000
 """2015-01-01T00:00:00Z: time stamp 0."""
 LATEST = (1 << 48) - 1
+ADOPTED_MAX = LATEST - (1 << 40)
+"""Time stamps of others up to this one (the year 2103) are taken over: the last ones would leave us none to send."""
 MINUTE = 6_000_000
 """A minute, in time stamps."""
 RADIO_COMPID = 68  # MAV_COMP_ID_TELEMETRY_RADIO
@@ -177,7 +179,8 @@ class Signing:
             return Verdict.OLD
         self._last[link, stream] = stamp
         times.streams[stream] = max(stamp, times.streams.get(stream, 0))
-        times.newest = max(times.newest, stamp)
+        if stamp <= ADOPTED_MAX:
+            times.newest = max(times.newest, stamp)
         return Verdict.GOOD
 
 

@@ -109,6 +109,8 @@ class Fleet:
         place_ns: when that was measured, shape (n,).
         origin_deg_m: the estimator's origin as the newest GPS_GLOBAL_ORIGIN tells it, NaN before, shape (n, 3).
         origin_ns: its arrival, shape (n,).
+        home_deg_m: where the vehicle took off, on earth, as HOME_POSITION tells it, NaN before, shape (n, 3).
+        home_local_ned_m: the same in its own frame, shape (n, 3); zeros from autopilots that leave it out.
         origin_moved_ns: arrival of the last origin that differed from the one before, shape (n,).
         origin_moved_m: by how much, shape (n,).
         quat_ned_from_frd: newest valid attitude, w x y z, w >= 0, NaN before, shape (n, 4).
@@ -150,6 +152,8 @@ class Fleet:
         self.place_ns = _times(n)
         self.origin_deg_m: FloatArray = np.full((n, 3), np.nan)
         self.origin_ns = _times(n)
+        self.home_deg_m: FloatArray = np.full((n, 3), np.nan)
+        self.home_local_ned_m: FloatArray = np.full((n, 3), np.nan)
         self.origin_moved_ns = _times(n)
         self.origin_moved_m: FloatArray = np.zeros(n)
         self.quat_ned_from_frd: FloatArray = np.full((n, 4), np.nan)
@@ -343,6 +347,7 @@ class Fleet:
         self.clocks.forget(vehicle)
         self.origin_deg_m[vehicle] = np.nan
         self.origin_ns[vehicle] = NEVER
+        self.home_deg_m[vehicle] = self.home_local_ned_m[vehicle] = np.nan
         self.prearm_ok[vehicle] = False
 
     def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
@@ -383,6 +388,15 @@ class Fleet:
                 self.origin_moved_ns[vehicle], self.origin_moved_m[vehicle] = t, moved_m
             self.origin_deg_m[vehicle] = place
             self.origin_ns[vehicle] = t
+
+    def _home(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+        values = batch.values
+        known = (values["latitude"] != 0) | (values["longitude"] != 0)
+        places = _place(values["latitude"], values["longitude"], values["altitude"])
+        self.home_deg_m[row[known]] = places[known]
+        local = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
+        number = np.isfinite(local).all(axis=1)
+        self.home_local_ned_m[row[number]] = local[number]
 
     def origin_unsteady(self, vehicle: int, now_ns: int) -> bool:
         """Whether the vehicle's origin has moved in the last ten seconds."""
@@ -464,7 +478,9 @@ class Fleet:
                     continue
                 data = b"".join(piece for _, piece in sorted(pieces[1].items()))
                 del self._pieces[vehicle]
-            words = data.decode("utf-8", "replace").rstrip("\t\n ")
+            decoded = data.decode("utf-8", "replace").rstrip("\t\n ")
+            # Whatever could move a terminal's cursor or feign another line is not shown.
+            words = "".join(letter if letter.isprintable() else " " for letter in decoded)
             self._texts.append(Text(vehicle, int(values["severity"]), words, t))
 
     def _timesync_message(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
@@ -480,6 +496,7 @@ _HANDLERS = {
     "LOCAL_POSITION_NED": Fleet._local_position,
     "GLOBAL_POSITION_INT": Fleet._global_position,
     "GPS_GLOBAL_ORIGIN": Fleet._origin,
+    "HOME_POSITION": Fleet._home,
     "ATTITUDE_QUATERNION": Fleet._attitude_quaternion,
     "ATTITUDE": Fleet._attitude_euler,
     "SYS_STATUS": Fleet._sys_status,

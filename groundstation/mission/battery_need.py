@@ -17,7 +17,6 @@ import numpy as np
 from groundstation.core.assignment import fixed_roles
 from groundstation.mission.failsafe import FailsafePlan
 from groundstation.mission.plan import MissionPlan
-from groundstation.mission.profiles import PROFILES
 
 _SPARE = 4.0 / 3.0
 _DETOUR = 2.0  # ways in a formation are no straight lines: everybody gives way
@@ -89,8 +88,8 @@ def battery_needs(plan: MissionPlan, failsafe: FailsafePlan) -> tuple[BatteryNee
     """What each vehicle's battery has to hold."""
     flight_s = flight_time_s(plan, failsafe)
     needs = []
-    for spec in plan.spec.vehicles:
-        endurance_s = spec.endurance_s or PROFILES[spec.profile].endurance_s
+    for spec, profile in zip(plan.spec.vehicles, plan.vehicle_profiles, strict=True):
+        endurance_s = spec.endurance_s or profile.endurance_s
         alone = failsafe.down_s / endurance_s if math.isfinite(failsafe.down_s) else 0.0
         needs.append(
             BatteryNeed(

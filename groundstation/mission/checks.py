@@ -21,8 +21,8 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.standing import pad_words, too_near
 
 _SECOND_NS = 1_000_000_000
-_ASKS = 4  # for one thing that is not told
 _ASK_NS = 2 * _SECOND_NS
+_PATIENCE_NS = 8 * _SECOND_NS  # for what is only nice to know; asked for longer than that it is not
 _ESTIMATOR_OLD_NS = 3 * _SECOND_NS
 _AHRS = 0x200000  # MAV_SYS_STATUS_AHRS
 _ATTITUDE, _VELOCITY, _HEIGHT, _POSITION = 0x1, 0x2, 0x20, 0x8 | 0x10  # ESTIMATOR_STATUS_FLAGS
@@ -67,8 +67,8 @@ class Checks:
         self._parameters = ParameterCheck(plan, station, self.failsafe)
         self._ids = [vehicle.id for vehicle in plan.spec.vehicles]
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
-        self._asks = {name: np.zeros(plan.size, dtype=np.int64) for name in ("version", "estimator")}
-        self._asked_ns = {name: np.full(plan.size, NEVER, dtype=np.int64) for name in self._asks}
+        self._asked_ns = {name: np.full(plan.size, NEVER, dtype=np.int64) for name in ("version", "estimator")}
+        self._first_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
     def team_problem(self) -> str | None:
         """What is wrong with the mission's failsafes as such."""
@@ -81,12 +81,14 @@ class Checks:
     def ask(self, vehicle: int, now_ns: int) -> None:
         """Asks a vehicle for what it has not told yet; it stands disarmed."""
         fleet, autopilot = self._station.fleet, self._plan.autopilots[vehicle]
-        if fleet.firmware[vehicle] == UNKNOWN:
+        if self._first_ns[vehicle] == NEVER:
+            self._first_ns[vehicle] = now_ns
+        if fleet.firmware[vehicle] == UNKNOWN and not self._given_up(vehicle, now_ns):
             self._ask_once("version", "AUTOPILOT_VERSION", vehicle, now_ns)
-        if now_ns - fleet.estimator_ns[vehicle] > _ESTIMATOR_OLD_NS:
+        known = fleet.estimator_ns[vehicle] != NEVER
+        old = now_ns - fleet.estimator_ns[vehicle] > _ESTIMATOR_OLD_NS
+        if old and (known or not self._given_up(vehicle, now_ns)):
             self._ask_once("estimator", autopilot.estimator_message, vehicle, now_ns)
-        else:
-            self._asks["estimator"][vehicle] = 0
         self._parameters.step(vehicle)
 
     def armed(self, vehicle: int) -> None:
@@ -94,16 +96,18 @@ class Checks:
         self._parameters.stop(vehicle)
 
     def _ask_once(self, what: str, message: str, vehicle: int, now_ns: int) -> None:
-        asks, asked_ns = self._asks[what], self._asked_ns[what]
-        if asks[vehicle] >= _ASKS or now_ns - asked_ns[vehicle] < _ASK_NS or self._station.commands.pending(vehicle):
+        asked_ns = self._asked_ns[what]
+        if now_ns - asked_ns[vehicle] < _ASK_NS or self._station.commands.pending(vehicle):
             return
-        asks[vehicle] += 1
         asked_ns[vehicle] = now_ns
         self._station.commands.request(vehicle, self._plan.autopilots[vehicle].once(message))
 
-    def _given_up(self, what: str, vehicle: int, now_ns: int) -> bool:
-        late = now_ns - self._asked_ns[what][vehicle] >= _ASK_NS
-        return bool(self._asks[what][vehicle] >= _ASKS) and late
+    def _given_up(self, vehicle: int, now_ns: int) -> bool:
+        """Whether a vehicle had time enough to tell what is only nice to know."""
+        first_ns = int(self._first_ns[vehicle])
+        return first_ns != NEVER and now_ns - first_ns >= _PATIENCE_NS + round(
+            self._plan.spec.link_delay_s * _SECOND_NS
+        )
 
     # What is wrong
 
@@ -135,14 +139,14 @@ class Checks:
         """What is worth a word."""
         fleet, lines = self._station.fleet, []
         firmware, autopilot = self._firmware(vehicle), self._plan.autopilots[vehicle]
-        if firmware is None and self._given_up("version", vehicle, now_ns):
+        if firmware is None and self._given_up(vehicle, now_ns):
             lines.append("does not tell its firmware's version")
         elif firmware is not None and autopilot.oldest <= firmware[:2] < autopilot.tried:
             lines.append(
                 f"its firmware {version_words(int(fleet.firmware[vehicle]))} is older than"
                 f" {autopilot.tried[0]}.{autopilot.tried[1]}, from which on its failsafes are known"
             )
-        if self._given_up("estimator", vehicle, now_ns) and fleet.estimator_ns[vehicle] == NEVER:
+        if self._given_up(vehicle, now_ns) and fleet.estimator_ns[vehicle] == NEVER:
             lines.append(
                 f"does not tell how its estimator does ({autopilot.estimator_message}); its own arming checks are"
                 " relied on"
@@ -181,7 +185,7 @@ class Checks:
         return None if version in (UNKNOWN, 0) else (version >> 24 & 0xFF, version >> 16 & 0xFF, version >> 8 & 0xFF)
 
     def _version(self, vehicle: int, now_ns: int) -> str | None:
-        if self._station.fleet.firmware[vehicle] != UNKNOWN or self._given_up("version", vehicle, now_ns):
+        if self._station.fleet.firmware[vehicle] != UNKNOWN or self._given_up(vehicle, now_ns):
             return None
         return "its firmware's version was asked for, not told yet"
 
@@ -190,7 +194,7 @@ class Checks:
         if fleet.sensors_enabled[vehicle] & ~fleet.sensors_healthy[vehicle] & _AHRS:
             return "says that its estimator is not well (SYS_STATUS); let it stand still, or restart it"
         if fleet.estimator_ns[vehicle] == NEVER:
-            return None if self._given_up("estimator", vehicle, now_ns) else "was asked how its estimator does"
+            return None if self._given_up(vehicle, now_ns) else "was asked how its estimator does"
         trouble = self._estimator_trouble(vehicle, now_ns)
         return None if trouble is None else f"its estimator: {trouble}; let it stand still, or restart it"
 

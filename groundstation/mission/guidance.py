@@ -15,13 +15,17 @@ from groundstation.core.avoidance import avoid
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
-from groundstation.core.regions import SafetySphere
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.near import near_views
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
+from groundstation.mission.positioning import all_offsets
+from groundstation.mission.profiles import approach_rate_1_s
 
 _NOBODY: FloatArray = np.zeros(0)
 """Stands for zeros of whatever size is right."""
+_MANY = 64
+"""From so many vehicles on it is quicker to look for those near each than to look at all pairs."""
 _LEVEL_MIN_M = 1e-3  # nearer than that there is no direction to leave in
 
 
@@ -78,10 +82,9 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What two positions may be off against each other is added to r and d: then true distances stay above r.
-        off_diagonal = ~np.eye(plan.size, dtype=np.bool_)
-        shortest_m = float(plan.formation.distances_m[off_diagonal].min())
-        margin_m = fitting_margin_m(plan.margin_m, spec.avoidance.radius_m, shortest_m)
-        self._region = SafetySphere(spec.avoidance.radius_m + margin_m, spec.avoidance.activation_m + margin_m)
+        room_m = plan.region.room_m(all_offsets(plan.formation.points_enu_m))
+        margin_m = fitting_margin_m(plan.margin_m, room_m)
+        self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
             margin_m=margin_m,
@@ -90,15 +93,15 @@ class Guide:
             tick_s=self._period_s,
             speed_limit_m_s=spec.speed_limit_m_s,
             accel_limit_m_s2=profile.acceleration_max_m_s2,
+            region=plan.region,
         )
         # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.
         closing_m = 2.0 * spec.speed_limit_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
-        self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
+        widest = self._region.activation_m / self._region.radius_m
+        self._reach_m = max(widest * self._region.reach_m(0.0), self._region.reach_m(closing_m))
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
-        # Where a vehicle would come to rest obeys p' = u, as far as the lag is what it is taken for (a quarter of what
-        # is made up for is not trusted, as in `auto_control_gain`): a point is approached that much faster.
-        self._target_rate_1_s = 0.25 / (profile.lag_s - 0.75 * min(plan.lead_s, profile.lag_s) + profile.delay_s)
+        self._target_rate_1_s = approach_rate_1_s(profile, plan.lead_s)
         self._stopping_s = profile.lag_s + profile.delay_s
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
         floor_enu = np.array([*spec.fence.min_m[:2], max(plan.min_altitude_m, spec.fence.min_m[2])])
@@ -111,7 +114,10 @@ class Guide:
 
     def formation(self, poses: Poses, task: Task, control_gain: float) -> Setpoints:
         """One tick of (14) with avoidance, above the floor of formation flight."""
-        views = self._views(poses, task.neighbours)
+        if self._plan.size >= _MANY:
+            views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
+        else:
+            views = self._views(poses, task.neighbours)
         wish = formation_control(
             views,
             task,
@@ -120,38 +126,71 @@ class Guide:
             lead_s=self._plan.lead_s,
             upright_1_s=self._plan.upright_1_s,
         )
+        if self._plan.size >= _MANY:
+            views = self._near_views(poses)
         return self._finish(poses, views, wish, self._formation_box)
 
     def to_targets(self, poses: Poses, target_team_ned_m: FloatArray) -> Setpoints:
         """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground."""
-        views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
+        if self._plan.size >= _MANY:
+            views = self._near_views(poses)
+        else:
+            views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
         wish = self._target_rate_1_s * frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned)
         return self._finish(poses, views, wish, self._fence)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
-        """What each agent sees: its neighbours, and whoever is near enough to hit.
+        """What each agent sees: its neighbours, and whoever is near enough to hit."""
+        everybody = np.broadcast_to(np.arange(self._plan.size), neighbours.shape)
+        offset_ned, under = self._shown(poses, everybody)
+        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_of(poses) ** 2
+        views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        return self._with_obstacles(poses, views, everybody, offset_ned, under)
+
+    def _near_views(self, poses: Poses) -> LocalViews:
+        """What each agent of a large team sees that is near enough to hit: a column for each of those, and no other."""
+        special = np.flatnonzero(poses.sinking | (poses.extra_radius_m > 0.0))
+        others = None
+        if special.size:
+            columns = np.broadcast_to(special, (self._plan.size, special.size))
+            offset_ned, _ = self._shown(poses, columns)
+            reach_m = np.broadcast_to(self._reach_of(poses), (1, self._plan.size))[:, special]
+            others = np.zeros((self._plan.size, self._plan.size), dtype=np.bool_)
+            others[:, special] = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < reach_m**2
+        near = near_views(
+            poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, self._reach_m, others=others
+        )
+        offset_ned, under = self._shown(poses, near.who)
+        return self._with_obstacles(poses, near.views, near.who, offset_ned, under)
+
+    def _shown(self, poses: Poses, who: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Where others are taken to be, from each agent: offsets NED (n, k, 3) to ``who`` (n, k), and whom that moves.
 
         A vehicle that is not steered by us may be coming down, and one whose position is lost may be anywhere below
         where it was last seen: those below see it at their own height, so that they leave the column under it. It
         does its half of no manoeuvre: inside the radius it is shown twice as deep inside, so that they do both halves.
         Around a vehicle with an extra radius they do so by themselves.
         """
-        offset_ned = poses.pos_team_ned_m[None, :] - poses.pos_team_ned_m[:, None]
-        under = poses.sinking[None, :] & (offset_ned[..., 2] < 0.0)
+        offset_ned = poses.pos_team_ned_m[who] - poses.pos_team_ned_m[:, None]
+        under = np.asarray(poses.sinking[who] & (offset_ned[..., 2] < 0.0), dtype=np.bool_)
         offset_ned[..., 2] = np.where(under, 0.0, offset_ned[..., 2])
         if under.any():
             keep_out_m = self._damper.radius_m + self._damper.margin_m
             beside_m = np.maximum(np.linalg.norm(offset_ned, axis=2), _LEVEL_MIN_M)
             shown_m = np.clip(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
-            steered = poses.extra_radius_m[None, :] == 0.0
+            steered = poses.extra_radius_m[who] == 0.0
             offset_ned *= np.where(under & steered, shown_m / beside_m, 1.0)[..., None]
-        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_of(poses) ** 2
-        views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        return offset_ned, under
+
+    def _with_obstacles(
+        self, poses: Poses, views: LocalViews, who: IntArray, offset_ned: FloatArray, under: BoolArray
+    ) -> LocalViews:
+        """Views with the extra radii of obstacles, and with those that may come down where they are taken to be."""
         if poses.extra_radius_m.any():
             # From where it is itself, an obstacle has nobody to make room for.
-            extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[None, :])
+            extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[who])
             views = replace(views, extra_m=extra_m)
         if not under.any():
             return views

@@ -74,6 +74,10 @@ class Monitor:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""
         self._frames.begin(fleet.origin_moved_ns, fleet.restarts)
 
+    def leave(self, vehicles: BoolArray) -> None:
+        """Takes those out of sight that were never ours: no finding concerns them, obstacles they are, shape (n,)."""
+        self._gone |= vehicles
+
     def trusted(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
         """Puts trusted positions in place of those that have jumped; once per tick, before ``look``."""
         return self._jumps.take(poses, pose_ns, now_ns)

@@ -102,6 +102,12 @@ _FLYING: dict[Order, str] = {Order.RESUME: _NOTHING_HELD}
 REFUSED: dict[Phase, dict[Order, str]] = {
     # On the ground hold, return and land do the same: nobody takes off, the mission ends with nobody armed.
     Phase.CONNECT: _FLYING,
+    Phase.TAKEOVER: {
+        Order.HOLD: "everybody who is held stands still already",
+        Order.RESUME: _NOTHING_HELD,
+        Order.RETURN: "that comes next",
+        Order.LAND: "where they are is being found out; they are brought home next",
+    },
     Phase.ARM: _FLYING,
     Phase.TAKEOFF: _FLYING,
     Phase.FORM: _FLYING,

@@ -19,7 +19,8 @@ from groundstation.mission.plan import MissionPlan
 _SECOND_NS = 1_000_000_000
 _SPARE = 0.1  # of a link that these questions may use: the streams have the rest
 _TRIES = 2
-REMEDY = "`gs check --fix` sets it"
+REMEDY, REMEDY_MANY = "`gs check --fix` sets it", "`gs check --fix` sets them"
+_IN_FULL = 2  # more than that are told in short
 
 
 @dataclass
@@ -97,23 +98,30 @@ class ParameterCheck:
 
     def grave(self, vehicle: int) -> list[str]:
         """What nothing may fly with, each with its remedy."""
-        of, lines = self._vehicles[vehicle], []
-        for finding in self.findings(vehicle):
-            if not finding.grave:
-                continue
-            if of.tries.get(finding.name):
-                lines.append(f"{finding.text()}; it was told to, and keeps it: set it by hand")
-            else:
-                by_hand = finding.wanted is None
-                lines.append(f"{finding.text()}; {'set it by hand' if by_hand else REMEDY}")
-        return lines
+        of = self._vehicles[vehicle]
+        grave = [finding for finding in self.findings(vehicle) if finding.grave]
+        stubborn = [finding for finding in grave if of.tries.get(finding.name)]
+        by_hand = [finding for finding in grave if finding.wanted is None and finding not in stubborn]
+        settable = [finding for finding in grave if finding not in stubborn and finding not in by_hand]
+        lines = [f"{finding.text()}; it was told to, and keeps it: set it by hand" for finding in stubborn]
+        lines += [f"{finding.text()}; set it by hand" for finding in by_hand]
+        if len(settable) <= _IN_FULL:
+            return lines + [f"{finding.text()}; {REMEDY}" for finding in settable]
+        return [
+            *lines,
+            f"{len(settable)} parameters are not as they have to be: {', '.join(item.short() for item in settable)};"
+            f" {REMEDY_MANY}",
+        ]
 
     def notes(self, vehicle: int) -> list[str]:
         """What is worth a word: what was set, what is unusual, what this firmware does not know."""
         of = self._vehicles[vehicle]
         if not of.done:
             return []
-        lines = [f"{name} set from {plain(old)} to {plain(new)}" for name, (old, new) in of.changed.items()]
+        lines = []
+        if of.changed:
+            changes = (f"{name} from {plain(old)} to {plain(new)}" for name, (old, new) in of.changed.items())
+            lines.append(f"parameters were set: {', '.join(changes)}")
         if not self.answers(vehicle):
             lines.append(
                 "answers no question for its parameters; what it does when setpoints, heartbeats or battery end is not"

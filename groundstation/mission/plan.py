@@ -6,6 +6,7 @@ Positions in the file are ENU in one team frame; the plan keeps them so, and the
 from __future__ import annotations
 
 import itertools
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
 from groundstation.core.errors import UserError
-from groundstation.core.files import read_yaml, validate
+from groundstation.core.files import parse_yaml_value, read_yaml, validate
 from groundstation.core.formation import Formation, Gains
+from groundstation.core.regions import SafetyRegion, SafetySphere, UprightRegion, build_region
 from groundstation.core.types import FloatArray
 from groundstation.design.store import (
     FormationFile,
@@ -31,8 +32,8 @@ from groundstation.design.store import (
 from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
-from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, margin_m
-from groundstation.mission.profiles import PROFILES, VehicleProfile, slowest
+from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
+from groundstation.mission.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
 from groundstation.mission.schema import MissionSpec
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
@@ -49,6 +50,7 @@ class MissionPlan:
         formation: points and sensing graph, ENU.
         gains: checked against the formation.
         gains_npz: the gains file that they came from, for the record.
+        vehicle_profiles: figures of each vehicle.
         profile: the slowest vehicle's figures, with the delay of the links and the error of the positions.
         control_gain: k that multiplies (14).
         scale: f of (14).
@@ -71,6 +73,7 @@ class MissionPlan:
     formation: Formation
     gains: Gains
     gains_npz: bytes
+    vehicle_profiles: tuple[VehicleProfile, ...]
     profile: VehicleProfile
     control_gain: float
     scale: ScaleFunction
@@ -91,6 +94,11 @@ class MissionPlan:
     def size(self) -> int:
         """Number of vehicles, n."""
         return len(self.spec.vehicles)
+
+    @property
+    def region(self) -> SafetyRegion:
+        """What is kept clear around every vehicle, without the margin."""
+        return _region(self.spec, self.profile)
 
     @property
     def stream_links(self) -> tuple[int, ...]:
@@ -142,6 +150,12 @@ class MissionPlan:
         low = limits.battery_min_v
         return 0.95 * low if limits.battery_land_v is None and low is not None else limits.battery_land_v
 
+    @property
+    def slowness(self) -> float:
+        """How many times more gently points are approached because of the links' delay; 1 without any."""
+        own = replace(self.profile, delay_s=slowest(self.vehicle_profiles).delay_s)
+        return approach_rate_1_s(own, self.lead_s) / approach_rate_1_s(self.profile, self.lead_s)
+
     def rates_of(self, vehicle: int) -> LinkRates:
         """Rates of a vehicle."""
         return self.rates[self.link_of_vehicle[vehicle]]
@@ -185,6 +199,18 @@ class MissionPlan:
         }
 
 
+def read_spec(path: Path, overrides: Sequence[str] = ()) -> MissionSpec:
+    """Reads a mission file alone; nothing is judged but its shape.
+
+    Raises:
+        UserError: it is no mission file, or an override does not fit it.
+    """
+    values = read_yaml(path)
+    for override in overrides:
+        _override(values, override)
+    return validate(MissionSpec, values, str(path))
+
+
 def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     """Reads a mission file, its formation and its gains; designs the gains where the file names none.
 
@@ -195,10 +221,7 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     Raises:
         UserError: anything wrong, with file, key, value, limit and remedy.
     """
-    values = read_yaml(path)
-    for override in overrides:
-        _override(values, override)
-    spec = validate(MissionSpec, values, str(path))
+    spec = read_spec(path, overrides)
     formation_path = _relative(path, spec.formation, "formation")
     formation = as_in_file = load_formation(formation_path)
     if spec.formation_scale is not None:
@@ -253,13 +276,15 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
     if spec.steps[0].form is None:
         raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
-    _check_vehicles(spec, formation, source)
-    _check_room(spec, formation, pads, source)
+    profiles = known_profiles(spec, source)
+    _check_vehicles(spec, formation, source, profiles)
+    vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)
+    profile = slowest(vehicle_profiles)
+    _check_room(spec, formation, pads, profile, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
     _check_signing(spec, addresses, source)
     rates = _fit_links(spec, addresses, source)
-    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
@@ -267,7 +292,7 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         source,
         formation,
         pads,
-        radius_m=spec.avoidance.radius_m,
+        region=_region(spec, profile),
         position_error_m=position_error_m,
         positioning=positioning,
     )
@@ -284,6 +309,8 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     upright_1_s = 0.0 if spec.scale.kind == "free" else spec.upright_1_s
     rate_1_s = rate_for_auto_gain_1_s(formation, gains, scale, upright_1_s)
     lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
+    if positioning == "gps":
+        check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
     automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
     floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
     return MissionPlan(
@@ -292,6 +319,7 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         formation=formation,
         gains=gains,
         gains_npz=gains_npz,
+        vehicle_profiles=vehicle_profiles,
         profile=profile,
         control_gain=automatic if spec.gain == "auto" else spec.gain,
         scale=scale,
@@ -372,8 +400,8 @@ def _override(values: dict[str, Any], override: str) -> None:
     if not separator or not path:
         raise UserError(f"--set {override}: expected key.path=value, for example speed_limit_m_s=0.3")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
+        value = parse_yaml_value(text, path)
+    except UserError:
         raise UserError(f"--set {override}: the value is not valid YAML") from None
     *parents, last = path.split(".")
     place: Any = values
@@ -403,7 +431,28 @@ def _relative(mission: Path, name: str, key: str) -> Path:
     return path
 
 
-def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> None:
+def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
+    """The profiles that come along and those of the mission.
+
+    Raises:
+        UserError: one of the mission's is like none that is known.
+    """
+    profiles = dict(PROFILES)
+    for name, given in spec.profiles.items():
+        like = given.like or name
+        if like not in PROFILES:
+            raise UserError(
+                f"{source}: profiles.{name}.like: {like} is not known; name one of {', '.join(PROFILES)}, whose other"
+                " figures it has"
+            )
+        figures = given.model_dump(exclude={"like"}, exclude_none=True)
+        profiles[name] = replace(PROFILES[like], name=name, **figures)
+    return profiles
+
+
+def _check_vehicles(
+    spec: MissionSpec, formation: Formation, source: str, profiles: Mapping[str, VehicleProfile]
+) -> None:
     vehicles = spec.vehicles
     if len(vehicles) != formation.size:
         raise UserError(
@@ -420,21 +469,32 @@ def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> Non
         first_with[vehicle.id] = number
         if vehicle.autopilot not in AUTOPILOTS:
             raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
-        if vehicle.profile not in PROFILES:
-            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(PROFILES)}")
+        if vehicle.profile not in profiles:
+            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(profiles)}")
         try:
             parse_address(vehicle.link)
         except UserError as error:
             raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
 
 
-def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, source: str) -> None:
+def _region(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:
+    given = spec.avoidance
+    half_height_m = profile.half_height_m if given.half_height_m is None else given.half_height_m
+    return build_region(given.shape, given.radius_m, given.activation_m, half_height_m)
+
+
+def _check_room(
+    spec: MissionSpec, formation: Formation, pads: FloatArray, profile: VehicleProfile, source: str
+) -> None:
     radius = spec.avoidance.radius_m
     if spec.avoidance.activation_m < radius:
         raise UserError(
             f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
             f" {radius} m; make it as large at least"
         )
+    region = _region(spec, profile)
+    if not isinstance(region, SafetySphere):
+        _check_clearance(region, formation, pads, source)
     for i, j in itertools.combinations(range(formation.size), 2):
         distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
         if distance <= radius:
@@ -474,6 +534,25 @@ def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, sourc
                 f"{source}: vehicles[{number}].pad_m: {pad.tolist()} with the takeoff height of"
                 f" {spec.takeoff.height_m:g} m is not inside the fence {low.tolist()} to {high.tolist()}"
             )
+
+
+def _check_clearance(region: SafetyRegion, formation: Formation, pads: FloatArray, source: str) -> None:
+    """Refuses points and pads inside of each other's upright region."""
+    sizes = f"{region.name} of avoidance.radius_m {region.radius_m:g} m"
+    if isinstance(region, UprightRegion):
+        sizes += f" and half_height_m {region.half_height_m:g} m"
+    remedy = "scale the formation up or make the region smaller", "move the pads apart or make the region smaller"
+    for points, names, told in (
+        (formation.points_enu_m, ("formation.points[{}]", "points[{}]"), remedy[0]),
+        (pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), remedy[1]),
+    ):
+        for i, j in itertools.combinations(range(len(points)), 2):
+            offset = points[j] - points[i]
+            if region.clearance(offset) <= 1.0:
+                raise UserError(
+                    f"{source}: {names[0].format(j)}: {math.hypot(*offset[:2]):.3g} m beside and"
+                    f" {abs(offset[2]):.3g} m above or below {names[1].format(i)}, inside of the {sizes}; {told}"
+                )
 
 
 def _floor(spec: MissionSpec) -> float:

@@ -1,7 +1,8 @@
-"""How well the team knows where it is, and what that leaves of r.
+"""How well the team knows where it is, and what that leaves of r and of the tolerance.
 
 The avoidance keeps *reported* distances above r plus a margin. The margin is what two positions may be off against
-each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it.
+each other: then true distances stay above r. Refuses a mission whose formation or pads leave no room for it, and one
+that wants to be formed more closely than vehicles that wander by GPS can be over its links.
 """
 
 from __future__ import annotations
@@ -12,11 +13,16 @@ import numpy as np
 
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
+from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import FloatArray
+from groundstation.mission.schema import MissionSpec
 
 POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
 """Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against
 each other, which is three standard deviations of a difference."""
+_WANDER_M_S = 0.04
+"""Standard deviation of a velocity that GPS and IMU do not notice: at zero command vehicles were seen to wander by up
+to 2.5 m a minute."""
 _DEVIATIONS = 3.0
 
 
@@ -25,12 +31,38 @@ def margin_m(position_error_m: float) -> float:
     return _DEVIATIONS * math.sqrt(2.0) * position_error_m
 
 
+def tolerance_min_m(rate_1_s: float) -> float:
+    """How far off a distance stays under a law that takes errors back at a rate, both vehicles wandering by GPS."""
+    return _DEVIATIONS * math.sqrt(2.0) * _WANDER_M_S / rate_1_s
+
+
+def check_tolerances(source: str, spec: MissionSpec, rate_1_s: float) -> None:
+    """Refuses a formation that GPS and the links' delay would never let come true.
+
+    Args:
+        source: the mission's name.
+        spec: steps and link delay.
+        rate_1_s: of the approach, which a delay lowers.
+
+    Raises:
+        UserError: with the tolerance that can be reached.
+    """
+    least_m = math.ceil(100.0 * tolerance_min_m(rate_1_s)) / 100.0
+    for number, step in enumerate(spec.steps):
+        if step.form is not None and step.form.tolerance_m < least_m:
+            raise UserError(
+                f"{source}: steps[{number}].form.tolerance_m: {step.form.tolerance_m:g} m, minimum is {least_m:g} m:"
+                f" vehicles wander by GPS, and with the delay of these links (link_delay_s: {spec.link_delay_s:g}) that"
+                " is taken back slowly; widen the tolerance, or use quicker links"
+            )
+
+
 def check_radius(
     source: str,
     formation: Formation,
     pads_enu_m: FloatArray,
     *,
-    radius_m: float,
+    region: SafetyRegion,
     position_error_m: float,
     positioning: str,
 ) -> None:
@@ -40,7 +72,7 @@ def check_radius(
         source: the mission's name.
         formation: with its shortest distance.
         pads_enu_m: shape (n, 3).
-        radius_m: r.
+        region: with r.
         position_error_m: standard deviation, one axis.
         positioning: name of the source, for messages.
 
@@ -49,13 +81,26 @@ def check_radius(
     """
     margin = margin_m(position_error_m)
     for what, points in (("formation " + formation.name, formation.points_enu_m), ("pads", pads_enu_m)):
-        first, second = np.triu_indices(len(points), 1)
-        shortest = float(np.linalg.norm(points[first] - points[second], axis=1).min())
-        if radius_m + margin >= shortest:
+        room_m = region.room_m(all_offsets(points))
+        if margin >= room_m:
+            r = f"{source}: avoidance.radius_m: {region.radius_m:g} m"
+            if not isinstance(region, SafetySphere):
+                raise UserError(
+                    f"{r} with the {region.name} cannot be kept with {positioning} positions: two of them may be"
+                    f" {margin:.2f} m off against each other, and around the {region.name} the {what} leave"
+                    f" {max(room_m, 0.0):.2g} m; lower radius_m or half_height_m, or move further apart"
+                )
+            shortest = room_m + region.radius_m
             able = math.floor(100.0 * (shortest - margin) - 1e-9) / 100.0
             could = f"an r of {able:g} m could be" if able > 0.0 else "no r could be"
             raise UserError(
-                f"{source}: avoidance.radius_m: {radius_m:g} m cannot be kept with {positioning} positions: two of"
+                f"{r} cannot be kept with {positioning} positions: two of"
                 f" them may be {margin:.2f} m off against each other, and the shortest distance of the {what} is"
                 f" {shortest:.3g} m; {could} kept: lower r, or move further apart"
             )
+
+
+def all_offsets(points_m: FloatArray) -> FloatArray:
+    """From each point to each later one, shape (n (n - 1) / 2, 3)."""
+    first, second = np.triu_indices(len(points_m), 1)
+    return np.asarray(points_m[second] - points_m[first], dtype=np.float64)

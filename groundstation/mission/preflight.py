@@ -6,7 +6,7 @@ again. Nothing here waits: the runner calls it once per tick and decides how lon
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
+from groundstation.mission.check_table import CheckRow, check_rows
 from groundstation.mission.checks import Checks
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
@@ -136,17 +137,19 @@ class Preflight:
             state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
             if problem is not None:
                 state.waiting.append(f"{name}: {problem}")
-            elif fleet.battery_remaining[vehicle] < self._plan.spec.limits.battery_min:
-                state.fatal.append(
-                    f"{name}: battery at {fleet.battery_remaining[vehicle]:.0%}, minimum is"
-                    f" {self._plan.spec.limits.battery_min:.0%}; charge it"
-                )
             self._tell_slow(vehicle, state)
         (state.waiting if state.waiting else state.fatal).extend(held)
         state.notes += self.checks.team_notes()
         state.notes = [note for note in state.notes if note not in self._noted]
         self._noted.update(state.notes)
         return state
+
+    def rows(self, problems: Sequence[str], now_ns: int) -> list[CheckRow]:
+        """What was found, a row for each vehicle."""
+        rates_hz = [rates.hz for rates in self._rates]
+        return check_rows(
+            self._plan, self._station, self._frame, self.checks, rates_hz=rates_hz, problems=problems, now_ns=now_ns
+        )
 
     # Streams
 
@@ -347,9 +350,10 @@ class Preflight:
             )
         if not off_m <= plan.pad_error_m:
             positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
-            return self.checks.place_words(vehicle, positions) or (
-                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m; put it on its pad,"
-                " restart it there, or correct pad_m"
+            elsewhere = self.checks.place_words(vehicle, positions)
+            return (
+                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m"
+                f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
             )
         return None
 

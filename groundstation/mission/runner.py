@@ -16,12 +16,15 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.limits import Fence
-from groundstation.core.metrics import min_distance_m
+from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
+from groundstation.mission.check_table import CheckRow
 from groundstation.mission.climb import Climb
+from groundstation.mission.failsafe import FailsafePlan
 from groundstation.mission.formation_flight import FormationFlight
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.killing import Killing
@@ -32,6 +35,7 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
 from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
+from groundstation.mission.takeover import TakeOver, out_of_sight
 from groundstation.mission.words import Words
 
 __all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]
@@ -45,6 +49,7 @@ _DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while t
 _FAULTS_NOTED = 5
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
+_SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
 
 
@@ -56,6 +61,7 @@ class Runner:
         start_ns: time at which it begins, on the clock of all other times.
         check_only: stop after the preflight checks, arm nothing.
         whole_frames: ``receive`` is given whole frames on every link, as from a log, whatever the links were.
+        take_over: the vehicles are in the air already; take them over and bring them home, see ``takeover``.
 
     Attributes:
         phase: what the team is doing.
@@ -66,11 +72,18 @@ class Runner:
     """
 
     def __init__(
-        self, plan: MissionPlan, start_ns: int, *, check_only: bool = False, whole_frames: bool = False
+        self,
+        plan: MissionPlan,
+        start_ns: int,
+        *,
+        check_only: bool = False,
+        whole_frames: bool = False,
+        take_over: bool = False,
     ) -> None:
         n = plan.size
         self.plan = plan
-        self.phase = Phase.CONNECT
+        self.phase = Phase.TAKEOVER if take_over else Phase.CONNECT
+        self._region = plan.region
         self.outcome: str | None = None
         self.reason = ""
         self.figures = Figures()
@@ -96,7 +109,8 @@ class Runner:
         self._takeoff_ns = NEVER
         self._last_step_ns = NEVER
         self._steady_since_ns = NEVER
-        self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
+        self._notes: list[Note] = [Note("phase", self.phase.value)]
+        self._take_over = TakeOver(plan, self._station, self._frame, self._preflight, start_ns)
         self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
         self._landing = Landing(plan, self.fleet, self._station.commands)
         self._killing = Killing(plan, self.fleet, self._station.commands)
@@ -110,10 +124,11 @@ class Runner:
         self._lands_here = False
         self._homing: BoolArray = np.zeros(n, dtype=np.bool_)
         self._home_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._spoken_to = False  # after silence: the operator wants something of the vehicles again
         self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
-        self._spread_m = _OF_MARGIN * plan.margin_m
+        self._spread_m = _OF_MARGIN * plan.margin_m * min(plan.slowness, _SLOWNESS_MAX)
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
             [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(n)]
@@ -161,6 +176,15 @@ class Runner:
         airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)
         return airborne
 
+    def check_rows(self) -> list[CheckRow]:
+        """What preflight found, a row for each vehicle."""
+        return self._preflight.rows(self.problems, self._last_step_ns)
+
+    @property
+    def failsafe(self) -> FailsafePlan:
+        """What the team does when the ground station is gone."""
+        return self._preflight.checks.failsafe
+
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""
         notes, self._notes = self._notes, []
@@ -192,10 +216,14 @@ class Runner:
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
-            poses = self._watch(poses, now_ns)
+            poses = self._watch(out_of_sight(poses), now_ns)
             self._measure(poses)
+        standing: BoolArray = np.zeros(n, dtype=np.bool_)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
+        elif self.phase is Phase.TAKEOVER:
+            self._take(now_ns)
+            standing = self._take_over.taken
         elif self.phase is Phase.ARM:
             self._arm(now_ns, poses)
         elif self.phase is Phase.SILENT:
@@ -204,9 +232,11 @@ class Runner:
         elif self.phase in AIRBORNE_PHASES:
             velocity = self._steer(now_ns, poses)
         self._killing.step(now_ns)
-        streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
+        streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
+        if self.phase is Phase.SILENT and not (self._spoken_to or self._killing.asked.any()):
+            return []  # heartbeats too: some autopilots act only when those are gone
         still = self._monitor.hold | self._landing.asked | self._released
         velocity = self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
@@ -269,6 +299,35 @@ class Runner:
                 self._arming = Arming(plan, self.fleet, self._station.commands)
                 self._enter(Phase.ARM, now_ns)
 
+    def _take(self, now_ns: int) -> None:
+        """Holds whoever is in the air, then brings everybody home whose place is known."""
+        state = self._take_over.step(now_ns)
+        for note in state.notes:
+            self._note("info", note)
+        self.problems = state.problems + state.waiting
+        self._yaw_ned_rad = self._take_over.yaw_ned_rad
+        if not state.done:
+            return
+        home = self._take_over.home
+        if not home.any():
+            self._refuse(state.problems or ["nobody is in the air; there is nothing to take over"], now_ns)
+            return
+        self._frame.settle_in_flight(self.fleet)
+        self.fleet.hold_addresses(self.plan.signed_links)
+        self._monitor.begin(self.fleet)
+        self._released |= ~home
+        self._monitor.leave(self._released)
+        self._climb.under_way[:] = False
+        self._flight.gather_ned_m = self._take_over.gather_ned_m()
+        self._takeoff_ns = now_ns
+        for line in self._frame.words():
+            self._note("info", line)
+        for problem in state.problems:
+            self._abort(problem)
+        names = ", ".join(str(sysid) for sysid in self.fleet.sysid[home])
+        self._note("info", f"taken over and brought home: vehicle {names}")
+        self._enter(Phase.RETURN, now_ns)
+
     def _arm(self, now_ns: int, poses: Poses) -> None:
         if now_ns - self._phase_ns < _STREAM_FIRST_NS:
             return
@@ -281,7 +340,7 @@ class Runner:
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
-            self._flight.assign(self._preflight.checks.failsafe.roles)
+            self._flight.assign(self.failsafe.roles)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:
@@ -403,7 +462,10 @@ class Runner:
         """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
         up = self._landing.still_up(self._phase_ns, now_ns, self._released)
         up |= self._killing.not_shown() & ~self._landing.lost(now_ns)
-        late = now_ns - self._phase_ns >= _DOWN_MAX_NS
+        down_max_ns = _DOWN_MAX_NS
+        if self.phase is Phase.SILENT and np.isfinite(self.failsafe.down_s):
+            down_max_ns += round(self.failsafe.down_s) * _SECOND_NS
+        late = now_ns - self._phase_ns >= down_max_ns
         if up.any() and not late:
             self._steady_since_ns = NEVER
             return
@@ -417,7 +479,7 @@ class Runner:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
-            self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
+            self._abort(f"{', '.join(names)}: still armed after {down_max_ns // _SECOND_NS} s of landing")
         self._finish(now_ns)
 
     # What the operator says
@@ -470,6 +532,7 @@ class Runner:
     def _land_now(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
         """Some, or all, come down where they are."""
         if self.phase is Phase.SILENT:
+            self._spoken_to = True
             self._landing.want(command.vehicles, now_ns)
             return
         rest = self._rest(poses)
@@ -582,7 +645,7 @@ class Runner:
         """
         if not follows:
             self._abort(reason)
-        if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
+        if self.phase in (Phase.TAKEOVER, Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
         if self.phase is Phase.PAUSE:
             # A hold is the operator's: whatever stands below may be why. The team comes back when it is over.
@@ -644,5 +707,11 @@ class Runner:
             self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
-        distance = min_distance_m(poses.pos_team_ned_m, self.airborne & ~self._monitor.blind)
+        counted = np.asarray(self.airborne & ~self._monitor.blind, dtype=np.bool_)
+        distance = min_distance_m(poses.pos_team_ned_m, counted)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
+        if isinstance(self._region, SafetySphere):
+            self.figures.min_clearance = self.figures.min_distance_m / self._region.radius_m
+        else:
+            clearance = min_clearance(poses.pos_team_ned_m, self._region, counted)
+            self.figures.min_clearance = min(self.figures.min_clearance, clearance)

@@ -35,11 +35,18 @@ class ScaleSpec(_Strict):
 
 
 class AvoidanceSpec(_Strict):
-    """Safety radius r and activation distance d of Algorithm 2."""
+    """Safety radius r and activation distance d of Algorithm 2, and what stands above and below where it is no ball."""
 
     radius_m: Positive
     activation_m: Positive
-    shape: Literal["sphere"] = "sphere"
+    shape: Literal["sphere", "cylinder", "ellipsoid"] = "sphere"
+    half_height_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _spheres_have_none(self) -> AvoidanceSpec:
+        if self.shape == "sphere" and self.half_height_m is not None:
+            raise ValueError("half_height_m belongs to shape: cylinder or ellipsoid; a sphere has radius_m only")
+        return self
 
 
 class TakeoffSpec(_Strict):
@@ -166,6 +173,16 @@ class VehicleSpec(_Strict):
         return self
 
 
+class ProfileSpec(_Strict):
+    """A profile of this mission, or other figures for one that is known; what is not given is as in ``like``."""
+
+    like: str | None = None
+    lag_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    delay_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    acceleration_max_m_s2: Annotated[Number, Field(gt=0, le=100)] | None = None
+    position_error_m: Positive | None = None
+
+
 class MissionSpec(_Strict):
     """The whole file."""
 
@@ -197,4 +214,5 @@ class MissionSpec(_Strict):
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
     signing: SigningSpec | None = None
+    profiles: dict[str, ProfileSpec] = {}
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]

@@ -31,16 +31,16 @@ def wrong_pad(vehicle: int, pos_m: FloatArray, pads_m: FloatArray, limit_m: floa
 
 
 def pad_words(vehicle: int, ids: list[int], pos_m: FloatArray, pads_m: FloatArray, limit_m: float) -> str | None:
-    """Says on whose pad a vehicle stands, and whether the two have changed places."""
+    """Says on whose pad a vehicle stands, and whether the two have changed places; the end of a sentence."""
     other = wrong_pad(vehicle, pos_m, pads_m, limit_m)
     if other is None:
         return None
     if wrong_pad(other, pos_m, pads_m, limit_m) == vehicle:
         return (
-            f"stands on the pad of vehicle {ids[other]}, and vehicle {ids[other]} on its pad; exchange them, or their"
-            " pad_m"
+            f": it stands on the pad of vehicle {ids[other]}, and vehicle {ids[other]} on its pad; exchange them, or"
+            " their pad_m"
         )
-    return f"stands on the pad of vehicle {ids[other]}; put it on its own pad, or correct pad_m"
+    return f": it stands on the pad of vehicle {ids[other]}; put it on its own pad, or correct pad_m"
 
 
 def too_near(vehicle: int, pos_m: FloatArray, radius_m: float) -> tuple[int, float] | None:

@@ -12,6 +12,7 @@ class Phase(Enum):
     """What the team is doing; HOLD is a step of the mission, PAUSE what the operator's ``hold`` leads to."""
 
     CONNECT = "connect"
+    TAKEOVER = "take-over"
     ARM = "arm"
     TAKEOFF = "takeoff"
     FORM = "form"
@@ -46,6 +47,7 @@ class Figures:
         time_to_form_s: from the start of the first form step until the formation stood, NaN before.
         formation_error_m: largest |d_ij - d*_ij| over all pairs and over the hold, NaN before.
         min_distance_m: smallest reported distance between two vehicles in the air.
+        min_clearance: the same in the norm of the safety region: below 1, somebody was inside of it.
         gridlocks: times an agent stood without a free direction for more than a second.
         role_swaps: changes of the role map after the first assignment.
         flight_time_s: from takeoff to the end, NaN before takeoff.
@@ -57,6 +59,7 @@ class Figures:
     time_to_form_s: float = np.nan
     formation_error_m: float = np.nan
     min_distance_m: float = np.inf
+    min_clearance: float = np.inf
     gridlocks: int = 0
     role_swaps: int = 0
     flight_time_s: float = np.nan

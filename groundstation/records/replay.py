@@ -7,6 +7,7 @@ the mission object again (that needs more than a log) and draws nothing.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -275,6 +276,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
                 noise_bytes += len(record.data)
     mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
     result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    _check_kinds(path, mission, result)
     settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), None)
     if settled_ns is not None:
         lost_ns = _frames_lost_ns(positions, origins, settled_ns)
@@ -305,7 +307,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
 def _frames_lost_ns(
     positions: Sequence[tuple[int, Frame]], origins: Sequence[tuple[int, Frame]], settled_ns: int
 ) -> dict[int, int]:
-    """From when on a vehicle's local positions no longer count from where they did: it started anew, or moved its origin.
+    """From when on a vehicle's local positions count from elsewhere: it started anew, or its origin was moved.
 
     Args:
         positions: LOCAL_POSITION_NED in order of arrival.
@@ -331,6 +333,32 @@ def _frames_lost_ns(
                 lost_ns[frame.sysid] = min(lost_ns.get(frame.sysid, t_ns), t_ns - _TOLD_LATE_NS)
             told[frame.sysid] = place
     return lost_ns
+
+
+def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> None:
+    """Looks whether what is read here has the kinds of values that it is read as.
+
+    Raises:
+        UserError: a manifest of another program, or a damaged one.
+    """
+    for where, values, key, kinds in (
+        ("mission", mission, "vehicles", list),
+        ("mission", mission, "formation", Mapping),
+        ("mission", mission, "avoidance", Mapping),
+        ("result", result, "local_origins_enu_m", list),
+    ):
+        if not isinstance(values.get(key), kinds | None):
+            raise UserError(f"{path}: manifest: {where}.{key}: {reprlib.repr(values[key])}; the manifest is damaged")
+    for index, vehicle in enumerate(mission.get("vehicles") or ()):
+        sysid = vehicle.get("id") if isinstance(vehicle, Mapping) else None
+        if type(sysid) is not int or not 0 <= sysid <= 255:
+            raise UserError(f"{path}: manifest: mission.vehicles[{index}]: no usable id; the manifest is damaged")
+    for index, origin in enumerate(result.get("local_origins_enu_m") or ()):
+        if not isinstance(origin, list | None):
+            raise UserError(
+                f"{path}: manifest: result.local_origins_enu_m[{index}]: {reprlib.repr(origin)}; the manifest is"
+                " damaged"
+            )
 
 
 def _tracks(
@@ -425,7 +453,8 @@ def _formation(path: Path, mission: Mapping[str, Any]) -> FlightFormation | None
     if not isinstance(given, Mapping):
         return None
     where = f"{path}: manifest: mission.formation"
-    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * float(given.get("scale", 1.0))
+    scale = _vectors(f"{where}.scale", given.get("scale", 1.0), ())
+    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
     edges = given.get("edges", ())
     n = len(points)
     if edges == "complete":
@@ -452,9 +481,11 @@ def _vectors(where: str, value: object, shape: tuple[int, ...]) -> FloatArray:
     try:
         array = np.array(value, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{where}: {value!r} are not the numbers expected; the manifest is damaged") from error
+        raise UserError(
+            f"{where}: {reprlib.repr(value)} are not the numbers expected; the manifest is damaged"
+        ) from error
     if not np.all(np.isfinite(array)):
-        raise UserError(f"{where}: {value!r}: expected finite numbers; the manifest is damaged")
+        raise UserError(f"{where}: {reprlib.repr(value)}: expected finite numbers; the manifest is damaged")
     return array
 
 

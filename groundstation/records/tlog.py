@@ -22,10 +22,10 @@ from groundstation.mavlink.codec import (
     MAGIC_V2,
     Encoder,
     Frame,
-    FrameSplitter,
     Splitters,
     message_id,
     message_name,
+    whole_frame,
 )
 from groundstation.records.notes import (
     FORMAT_VERSION,
@@ -67,6 +67,7 @@ _MAGIC = re.compile(b"[\xfd\xfe]")
 _SIGNING_HEADER = re.compile(rb"\xfd.{6}\x00\x01\x00", re.DOTALL)
 _SIGNING_BYTES = 10 + 42 + 2 + 13  # header, payload with the key, checksum, signature
 _SECRETS_MAX = 256
+_JOINED_MAX = 1 << 20  # bytes of one note; a datagram has 65,535 at most
 
 
 class Sink(Protocol):
@@ -110,6 +111,8 @@ class TlogWriter:
         stream_links: Collection[int] = (),
     ) -> None:
         self._file = _create(target) if isinstance(target, Path) else target
+        self._path = target if isinstance(target, Path) else None
+        self._identity = self._path.stat() if self._path is not None else os.stat_result((0,) * 10)
         self._name = str(target) if isinstance(target, Path) else "log"
         self._epoch_unix_us = epoch_unix_us
         self._sender = (sysid, compid)
@@ -122,6 +125,9 @@ class TlogWriter:
         self._flushed_ns: int | None = None
         self._closed = False
         self.problem: str | None = None
+        if self._path is not None:  # a log that is cut off at once is a log all the same
+            self._begin(0)
+            self._flush()
 
     def __enter__(self) -> TlogWriter:
         """Returns itself."""
@@ -254,6 +260,8 @@ class TlogWriter:
                 taken = self._file.write(bytes(view))
                 view = view[len(view) if taken is None else taken :]
             self._file.flush()
+            if self._path is not None and not os.path.samestat(self._path.stat(), self._identity):
+                raise FileNotFoundError(0, "the file was replaced while it was written")
         except OSError as error:
             self._fail(error)
         self._buffer = bytearray()
@@ -294,7 +302,6 @@ class TlogReader:
         """
         self._data = data
         self._name = name
-        self._splitter = FrameSplitter()
         self.damaged_bytes = 0
         self.truncated_bytes = 0
         if not data:
@@ -319,7 +326,8 @@ class TlogReader:
                 )
             self.native = True
             self._sender = (frame.sysid, frame.compid)
-            self.epoch_unix_us = epoch
+            if 0 <= epoch <= LATEST_UNIX_US:  # else damage that no checksum saw
+                self.epoch_unix_us = epoch
 
     @property
     def message(self) -> str | None:
@@ -398,9 +406,8 @@ class TlogReader:
         stop = start + 8 + size
         if stop > len(data) or stamp_us > LATEST_UNIX_US:
             return None
-        pieces = self._splitter.feed(data[start + 8 : stop])
-        frame = pieces[0]
-        if len(pieces) != 1 or not isinstance(frame, Frame):
+        frame = whole_frame(data[start + 8 : stop])
+        if frame is None:
             return None
         known = message_name(frame.msgid) is not None
         near = last_us is None or abs(stamp_us - last_us) <= _NEAR_US
@@ -422,7 +429,7 @@ class _Assembler:
     """
 
     def __init__(self) -> None:
-        self._parts: dict[int, bytes] = {}
+        self._parts: dict[int, bytearray] = {}
         self._roles: list[int | None] = []
         self.origins: dict[int, tuple[int, str]] = {}
         self.next_is_received = False
@@ -435,11 +442,14 @@ class _Assembler:
             if kind == Kind.ROLES:
                 return self._take_roles(t_ns, payload)
             if kind in _IN_PARTS and payload:
-                text = self._parts.pop(kind, b"") + payload[1:]
+                text = self._parts.pop(kind, bytearray())
+                text += payload[1:]
+                if len(text) > _JOINED_MAX:
+                    return None  # nobody writes as much: damage, or somebody who means to fill the memory
                 if payload[0]:
                     self._parts[kind] = text
                     return None
-                return _IN_PARTS[Kind(kind)](self, t_ns, text)
+                return _IN_PARTS[Kind(kind)](self, t_ns, bytes(text))
         return None
 
     def _take_roles(self, t_ns: int, payload: bytes) -> Record | None:

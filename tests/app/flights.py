@@ -12,7 +12,7 @@ from groundstation.app.session import Session
 from groundstation.app.signing import open_gate
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Note, Phase, Runner
-from groundstation.records.manifest import Manifest, manifest_path, write_manifest
+from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
 from sitl.world import Outgoing, World, WorldConfig
 
@@ -39,14 +39,16 @@ class Flight:
         world: World | None = None,
         change: Callable[[WorldConfig], WorldConfig] | None = None,
         prepare: Callable[[World], None] | None = None,
+        take_over: bool = False,
     ) -> None:
         self.plan = plan
+        self.take_over = take_over
         config = config or world_config(plan, seed)
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self.gate = open_gate(plan, 0, keep_times=False)
-        self.runner = Runner(plan, 0, whole_frames=self.gate is not None)
+        self.gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
+        self.runner = Runner(plan, 0, whole_frames=self.gate is not None, take_over=take_over)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -78,9 +80,11 @@ class Flight:
             versions={},
             seed=1,
             dry_run=True,
+            take_over=self.take_over,
             gains_npz=self.plan.gains_npz,
         )
-        return manifest.finished({"outcome": self.runner.outcome})
+        origins = self.runner.local_origins_enu_m
+        return manifest.finished({"outcome": self.runner.outcome, "local_origins_enu_m": origins})
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """The emulator's side of the loop, with the network's mischief."""

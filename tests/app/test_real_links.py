@@ -25,7 +25,7 @@ from groundstation.core.errors import UserError
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
 from groundstation.mission.plan import MissionPlan
-from groundstation.mission.runner import Runner
+from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
 from sitl.world import World
@@ -44,6 +44,8 @@ class Wire:
         read, write: bytes at the far end.
         descriptor: to wait on.
         bytes_per_s: capacity each way.
+        replug: puts a serial far end in again after ``unplug``.
+        plugged: whether it is in.
     """
 
     url: str
@@ -57,10 +59,15 @@ class Wire:
     carried_up: int = 0
     carried_down: int = 0
     left_out: int = 0
+    replug: Callable[[], None] = lambda: None
+    unplug: Callable[[], None] = lambda: None
+    plugged: bool = True
     _credit: float = 0.0
 
     def put(self, data: bytes) -> None:
         """A vehicle sends."""
+        if not self.plugged:
+            return
         if self.bytes_per_s == float("inf"):
             self.whole.append(data)
         elif len(self.down) + len(data) > WAITS_MAX:
@@ -101,18 +108,40 @@ class Cable:
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self._stack, self._folder = stack, folder
+        self._ports = 0
 
     def serial(self, baud: int) -> Wire:
-        """A pty whose near end bears the name of a port."""
-        far, near = pty.openpty()
-        tty.setraw(near)
-        for descriptor in (far, near):
-            self._stack.callback(os.close, descriptor)
-        name = self._folder / f"tty{far}"
-        name.symlink_to(os.ttyname(near))
-        return Wire(
-            f"serial://{name}:{baud}", lambda n: os.read(far, n), lambda data: os.write(far, data), far, baud / 10
+        """A pty whose near end bears the name of a port; it may be unplugged and come back."""
+        self._ports += 1
+        name = self._folder / f"tty{self._ports}"
+        ends: list[int] = []
+
+        def plug() -> None:
+            far, near = pty.openpty()
+            tty.setraw(near)
+            ends[:] = [far, near]
+            name.symlink_to(os.ttyname(near))
+            wire.descriptor, wire.plugged = far, True
+
+        def unplug() -> None:
+            name.unlink()
+            wire.plugged = False
+            wire.down.clear()
+            while ends:
+                os.close(ends.pop())
+
+        wire = Wire(
+            f"serial://{name}:{baud}",
+            lambda n: os.read(ends[0], n),
+            lambda data: os.write(ends[0], data),
+            -1,
+            baud / 10,
+            replug=plug,
+            unplug=unplug,
         )
+        plug()
+        self._stack.callback(lambda: unplug() if wire.plugged else None)
+        return wire
 
     def tcp(self) -> tuple[str, Callable[[Link], Wire]]:
         """A vehicle that listens; the wire exists once the link has connected."""
@@ -153,8 +182,13 @@ def _fly(
     log: Path,
     *,
     streams: str | None = None,
+    happens: Callable[[Runner, int], None] | None = None,
+    limit_s: int = 200,
 ) -> tuple[Runner, World, TruthMeter]:
-    """Flies a mission over links; ``wires`` by address, ``streams`` what the vehicles send unasked."""
+    """Flies a mission over links; ``wires`` by address, ``streams`` what the vehicles send unasked.
+
+    ``happens`` is called before every tick; a link that it has unplugged carries nothing until it is open again.
+    """
     config = world_config(plan, 1)
     if streams is not None:
         config = replace(config, vehicles=tuple(replace(vehicle, streams=streams) for vehicle in config.vehicles))
@@ -172,19 +206,22 @@ def _fly(
         now_ns = 0
         while not runner.done:
             now_ns += period_ns
-            assert now_ns < 200 * SECOND_NS, (runner.phase, runner.problems)
+            assert now_ns < limit_s * SECOND_NS, (runner.phase, runner.problems)
+            if happens is not None:
+                happens(runner, now_ns)
             for sent in world.advance(now_ns):
                 ends[plan.link_of_vehicle[sent.vehicle_index]].put(sent.data)
             for number, (link, end) in enumerate(zip(links, ends, strict=True)):
                 link.service(now_ns)
-                _deliver(session, number, link, end.carry_down(period_ns), now_ns)
+                if end.plugged and link.sources():
+                    _deliver(session, number, link, end.carry_down(period_ns), now_ns)
             lengths = [0] * len(links)
             for datagram in session.tick(now_ns):
                 data = b"".join(datagram.frames)
                 lengths[datagram.link] += len(data)
                 links[datagram.link].send(datagram.peer, data)
             for number, end in enumerate(ends):
-                if lengths[number]:
+                if lengths[number] and links[number].sources():
                     end.up += end.take(lengths[number])
             for vehicle, link_number in enumerate(plan.link_of_vehicle):
                 if ends[link_number].up:
@@ -192,7 +229,7 @@ def _fly(
             for end in ends:
                 end.up.clear()
             meter(session, now_ns)
-        assert [link.errors for link in links] == [0] * len(links)
+        assert happens is not None or [link.errors for link in links] == [0] * len(links)
     manifest = Manifest(
         mission=plan.record(), epoch_unix_us=0, versions={}, seed=1, dry_run=True, gains_npz=plan.gains_npz
     )
@@ -248,6 +285,55 @@ def test_two_vehicles_behind_one_radio_share_its_budget(cable: Cable, tmp_path: 
     flown = _fly(plan, {wire.url: wire}, tmp_path / "flight.tlog")
     _assert_flown(plan, flown, tmp_path / "flight.tlog")
     assert wire.carried_up < 5760 * flown[0].figures.ticks / plan.spec.rate_hz
+
+
+def _unplugged(wire: Wire, phase: Phase, after_s: float, for_s: float) -> Callable[[Runner, int], None]:
+    """Unplugs a port some time after a phase has begun, and puts it in again."""
+    began: list[int] = []
+
+    def happens(runner: Runner, now_ns: int) -> None:
+        if runner.phase is phase and not began:
+            began.append(now_ns)
+        passed_s = (now_ns - began[0]) / SECOND_NS if began else -1.0
+        if wire.plugged and after_s <= passed_s < after_s + for_s:
+            wire.unplug()
+        elif not wire.plugged and passed_s >= after_s + for_s:
+            wire.replug()
+
+    return happens
+
+
+def test_a_port_that_is_unplugged_before_arming_is_waited_for(cable: Cable, tmp_path: Path) -> None:
+    one, two = cable.serial(57_600), cable.serial(57_600)
+    plan = pair(*_links(one.url, two.url))
+    happens = _unplugged(two, Phase.CONNECT, 2.0, 8.0)
+    flown = _fly(plan, {one.url: one, two.url: two}, tmp_path / "flight.tlog", happens=happens)
+    _assert_flown(plan, flown, tmp_path / "flight.tlog")
+
+
+def test_a_port_that_is_unplugged_for_a_moment_in_flight_is_flown_on_with(cable: Cable, tmp_path: Path) -> None:
+    one, two = cable.serial(57_600), cable.serial(57_600)
+    plan = pair("steps.1.hold.seconds=5", *_links(one.url, two.url))
+    happens = _unplugged(two, Phase.HOLD, 1.0, 0.3)
+    flown = _fly(plan, {one.url: one, two.url: two}, tmp_path / "flight.tlog", happens=happens)
+    _assert_flown(plan, flown, tmp_path / "flight.tlog")
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+def test_a_port_that_is_unplugged_for_seconds_in_flight_brings_everybody_down(
+    autopilot: str, cable: Cable, tmp_path: Path
+) -> None:
+    """Its vehicle is told to land when the port is back; the other comes back."""
+    one, two = cable.serial(57_600), cable.serial(57_600)
+    plan = pair("steps.1.hold.seconds=20", *_links(one.url, two.url), autopilots=("px4", autopilot))
+    log = tmp_path / "flight.tlog"
+    happens = _unplugged(two, Phase.HOLD, 1.0, 6.0)
+    runner, world, _ = _fly(plan, {one.url: one, two.url: two}, log, happens=happens)
+    assert runner.outcome == "aborted"
+    assert runner.reason.startswith("vehicle 2: no position for 1 s; it lands where it is when nobody is below, the")
+    assert not world.truth.armed.any()
+    assert world.min_distance_airborne_m >= plan.spec.avoidance.radius_m
+    assert verify_log(log).mismatches == 0
 
 
 @pytest.mark.parametrize("other", ["serial", "udp"])

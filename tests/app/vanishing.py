@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -45,10 +46,8 @@ class Vanished:
                 raise _VanishedError
             return False
 
-        try:
+        with suppress(_VanishedError):
             Flight(plan, seed=seed, interrupt_when=vanish, prepare=prepare)
-        except _VanishedError:
-            pass
         (self.flight,) = kept
         world = self.flight.world
         self.min_distance_m = np.inf

@@ -72,6 +72,8 @@ class Profile:
     pos_noise_m: float = 0.01
     vel_noise_m_s: float = 0.02
     bias_m: float = 0.0  # slowly wandering position error, on top
+    bias_tau_s: float = 2.0  # how long that lasts
+    loss: float = 0.0  # share of reports, and of commands, that are lost
     tilt_lag_s: float = 0.0  # the acceleration itself follows with this lag (the attitude loop)
 
 
@@ -97,11 +99,24 @@ class Chain:
     scale: control.ScaleFunction = field(default_factory=control.ScaleFunction)
     rotate: bool = True
     damper: damper.DamperParams | None = None
+    tolerance_m: float = 0.05
+    shape: str = "sphere"
+    half_height_m: float = 0.45
+    widen: bool = False
+
+    @property
+    def region(self) -> regions.SafetyRegion:
+        return regions.build_region(
+            self.shape, self.radius_m, max(self.activation_m, self.radius_m), self.half_height_m
+        )
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What came out. ``formed_s`` is when all distances got within 5 cm to stay so for a second; NaN if never."""
+    """What came out. ``formed_s`` is when all distances got within 5 cm to stay so for a second; NaN if never.
+
+    ``min_clearance`` is the smallest one in the norm of the safety region.
+    """
 
     formed_s: float
     min_distance_m: float
@@ -110,6 +125,7 @@ class Flight:
     roles: IntArray
     blocked_ticks: int
     infeasible_ticks: int
+    min_clearance: float
 
 
 def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.DamperParams:
@@ -121,6 +137,7 @@ def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.Damper
         tick_s=chain.tick_s,
         speed_limit_m_s=chain.speed_m_s,
         accel_limit_m_s2=profile.accel_m_s2,
+        region=chain.region,
     )
 
 
@@ -150,7 +167,8 @@ def fly(
     if roles is None:
         roles = assign_roles(frames.enu_from_ned(start_ned_m), chain.formation).role_of_agent
     task = control.task_for_roles(chain.formation, chain.gains, roles)
-    sphere = regions.SafetySphere(chain.radius_m, max(chain.activation_m, chain.radius_m))
+    # As the guidance does: what positions may be off widens what is steered around, too.
+    region = chain.region.grown(chain.damper.margin_m) if chain.widen and chain.damper else chain.region
     sensed = np.ones((n, n), dtype=np.bool_)
     wanted = chain.formation.distances_m[np.ix_(roles, roles)]
     upper = np.triu_indices(n, 1)
@@ -164,13 +182,18 @@ def fly(
     pos, vel, accel = start_ned_m.copy(), np.zeros((n, 3)), np.zeros((n, 3))
     bias = rng.normal(0.0, profile.bias_m, (n, 3)) if profile.bias_m else np.zeros((n, 3))
     sent = np.zeros((n, 3))
+    seen_pos, seen_vel, last_out = pos.copy(), vel.copy(), np.zeros((n, 3))
+    clearance = np.inf
     smallest, formed_s, blocked, infeasible, error = np.inf, np.nan, 0, 0, np.inf
     for tick in range(round(seconds / chain.tick_s)):
-        if profile.bias_m:  # wanders with a time constant of 2 s
-            keep = np.exp(-chain.tick_s / 2.0)
+        if profile.bias_m:  # wanders on
+            keep = np.exp(-chain.tick_s / profile.bias_tau_s)
             bias = keep * bias + rng.normal(0.0, profile.bias_m * np.sqrt(1 - keep**2), (n, 3))
-        seen_pos = pos + bias + (rng.normal(0.0, profile.pos_noise_m, (n, 3)) if profile.pos_noise_m else 0.0)
-        seen_vel = vel + (rng.normal(0.0, profile.vel_noise_m_s, (n, 3)) if profile.vel_noise_m_s else 0.0)
+        new_pos = pos + bias + (rng.normal(0.0, profile.pos_noise_m, (n, 3)) if profile.pos_noise_m else 0.0)
+        new_vel = vel + (rng.normal(0.0, profile.vel_noise_m_s, (n, 3)) if profile.vel_noise_m_s else 0.0)
+        lost = rng.random((n, 1)) < profile.loss if profile.loss and tick else np.zeros((n, 1), dtype=np.bool_)
+        seen_pos = np.where(lost, seen_pos + chain.tick_s * seen_vel, new_pos)  # carried on, as the ground station does
+        seen_vel = np.where(lost, seen_vel, new_vel)
         forward, right = np.cos(yaw), np.sin(yaw)
         ahead = accel[:, 0] * forward + accel[:, 1] * right
         aside = -accel[:, 0] * right + accel[:, 1] * forward
@@ -184,7 +207,7 @@ def fly(
         )
         want = control.saturate(want, chain.speed_m_s)
         if chain.rotate:
-            avoided = avoidance.avoid(views, want, sphere)
+            avoided = avoidance.avoid(views, want, region)
             want, blocked = avoided.vel_flu_m_s, blocked + int(avoided.blocked.sum())
         if chain.damper is not None:
             damped = damper.damp(views, want, chain.damper)
@@ -202,11 +225,12 @@ def fly(
             fence=None,
             fence_rate_1_s=1.0,
         )
+        last_out = np.where(rng.random((n, 1)) < profile.loss, last_out, sent) if profile.loss else sent
         for _ in range(steps):
-            queue.append(sent)
+            queue.append(last_out)
             command = queue.pop(0)
             if profile.tau_s == 0.0:
-                vel = sent
+                vel = last_out
             else:
                 wished = (command - vel) / profile.tau_s
                 size = np.linalg.norm(wished, axis=1, keepdims=True)
@@ -216,12 +240,24 @@ def fly(
             pos = pos + vel * dt
             distances = metrics.pair_distances_m(pos)[upper]
             smallest = min(smallest, float(distances.min()))
+            if chain.shape != "sphere":
+                offsets = pos[upper[1]] - pos[upper[0]]
+                clearance = min(clearance, float(chain.region.clearance(offsets).min()))
         error = float(np.abs(distances - wanted[upper]).max())
         now = (tick + 1) * chain.tick_s
-        if error > 0.05:
+        if error > chain.tolerance_m:
             formed_s = np.nan
         elif np.isnan(formed_s):
             formed_s = now
         elif stop_when_formed and now - formed_s >= 1.0:
             break
-    return Flight(formed_s, smallest, error, pos, roles, blocked, infeasible)
+    return Flight(
+        formed_s,
+        smallest,
+        error,
+        pos,
+        roles,
+        blocked,
+        infeasible,
+        clearance if chain.shape != "sphere" else smallest / chain.radius_m,
+    )

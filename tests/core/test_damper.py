@@ -175,10 +175,10 @@ def test_held_back_is_told() -> None:
 
 
 def test_the_margin_leaves_room_for_the_formation() -> None:
-    assert fitting_margin_m(0.05, 0.45, 1.0) == 0.05
-    assert fitting_margin_m(0.05, 0.8, 0.86) == pytest.approx(0.03)
-    with pytest.raises(ValueError, match="shortest distance"):
-        fitting_margin_m(0.05, 0.45, 0.3)
+    assert fitting_margin_m(0.05, 0.55) == 0.05
+    assert fitting_margin_m(0.05, 0.06) == pytest.approx(0.03)
+    with pytest.raises(ValueError, match="room"):
+        fitting_margin_m(0.05, -0.15)
 
 
 @pytest.mark.parametrize("name", ["radius_m", "tick_s", "speed_limit_m_s", "accel_limit_m_s2", "margin_m", "delay_s"])

@@ -178,9 +178,9 @@ def test_a_serial_port_that_is_unplugged_is_found_again(port: _Port) -> None:
     link.service(0)
     assert "cannot open" in link.state
     port.plug_in()
-    link.service(RETRY_NS // 2)
+    link.service(1)
     assert link.sources() == ()
-    link.service(RETRY_NS)
+    link.service(RETRY_NS // 4)
     assert link.state == ""
     os.write(port.far, b"back")
     assert arrived_on(link) == [(link.peers()[0], b"back")]

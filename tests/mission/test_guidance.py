@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.app.resources import packaged_configs
+from groundstation.core.control import task_for_roles
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.plan import load_mission
 
@@ -70,3 +71,33 @@ def test_extra_radii_belong_to_vehicles() -> None:
     assert not poses.extra_radius_m.any()
     with pytest.raises(ValueError, match="extra radii"):
         dataclasses.replace(poses, extra_radius_m=np.zeros(3))
+
+
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+def test_large_teams_are_guided_as_small_ones_are(monkeypatch: pytest.MonkeyPatch, shape: str) -> None:
+    """The same poses by all pairs and by search: obstacles, one that sinks and a fast one among them."""
+    plan = load_mission(packaged_configs() / "missions" / "cube8.yaml", [f"avoidance.shape={shape}"])
+    rng = np.random.default_rng(8)
+    task = task_for_roles(plan.formation, plan.gains, np.arange(8))
+    for _ in range(8):
+        extra = np.where(rng.random(8) < 0.2, 0.3, 0.0)
+        quat = rng.normal(0.0, 0.2, (8, 4)) + np.array([1.0, 0.0, 0.0, 0.0])
+        poses = Poses(
+            rng.uniform(-1.2, 1.2, (8, 3)) - np.array([0.0, 0.0, 1.5]),
+            rng.normal(0.0, 0.5, (8, 3)),
+            quat / np.linalg.norm(quat, axis=1)[:, None],
+            np.asarray(rng.random(8) < 0.2, dtype=np.bool_),
+            extra_radius_m=extra,
+        )
+        # In a small team the law, too, takes those that sink where the avoidance takes them; in a large one it does not.
+        calm = dataclasses.replace(poses, sinking=np.zeros(8, dtype=np.bool_))
+        told = []
+        for many in (64, 2):
+            monkeypatch.setattr("groundstation.mission.guidance._MANY", many)
+            guide = Guide(plan)
+            for _ in range(10):
+                formed = guide.formation(calm, task, plan.control_gain)
+            told.append((formed, guide.to_targets(poses, np.zeros((8, 3)))))
+        for by_pairs, by_search in zip(*told, strict=True):
+            np.testing.assert_allclose(by_search.vel_ned_m_s, by_pairs.vel_ned_m_s, atol=1e-5)
+            np.testing.assert_array_equal(by_search.blocked, by_pairs.blocked)

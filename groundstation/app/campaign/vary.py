@@ -28,6 +28,7 @@ from sitl.world import WindConfig
 _SECOND_NS = 1_000_000_000
 _CELLS_MAX = 100_000
 _LABEL_MAX = 40
+_OBVIOUS = frozenset({"kind", "profile", "autopilot", "direction"})
 
 
 def _no_boolean(value: Any) -> Any:
@@ -310,8 +311,8 @@ def changed(values: dict[str, Any], path: str, value: Any, source: str) -> dict[
 
 
 def _words(value: Any) -> str:
-    if isinstance(value, dict) and "kind" in value:
-        return str(value["kind"])
+    if isinstance(value, dict):
+        return " ".join(_words(item) if key in _OBVIOUS else f"{key} {_words(item)}" for key, item in value.items())
     if isinstance(value, str):
         return Path(value).stem if value.endswith(".yaml") else value
     text = json.dumps(value)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Listing
 from threadpoolctl import threadpool_limits
@@ -29,6 +30,7 @@ from groundstation.core.errors import CheckFailed, MissionFailed, UserError
 from groundstation.records.manifest import claim_log, versions
 
 _FLUSH_ROWS, _FLUSH_S = 50, 2.0
+_CELLS_SHOWN = 40
 
 
 def campaign(
@@ -88,8 +90,9 @@ def campaign(
     rows = [row for row in table.merge() if row["run"] < count]
 
     def command(run: int) -> str:
-        parts = ["gs", "campaign", "--mission", str(path), "--seed", str(seed)]
-        parts += ["--vary", varied.source] if vary is not None else []
+        parts = ["gs", "campaign", "--seed", str(seed)]
+        parts += ["--mission", str(mission)] if mission is not None else []
+        parts += ["--vary", str(vary)] if vary is not None else []
         parts += [part for change in changes or () for part in ("--set", change)]
         return shlex.join([*parts, "--only", str(run), "--log", f"run-{run}.tlog"])
 
@@ -196,15 +199,21 @@ def _unflown(run: int, row: Row) -> UserError:
 
 
 def _tell(out: Output, values: Mapping[str, Any], folder: Path) -> None:
-    listing = Listing("cell", "runs", "success", "95 %", "formed", "safe", "below r", "median", "slowest", "smallest")
-    for cell in [*values["cells"], {"cell": "all", **values}]:
+    cells = [*values["cells"], {"cell": "all", **values}]
+    if len(cells) > _CELLS_SHOWN:
+        out.console.print(f"{len(cells) - 1} cells; those that are not safe in every run:")
+        cells = [cell for cell in cells[:-1] if cell["safe_rate"] < 1.0][:_CELLS_SHOWN] + cells[-1:]
+    listing = Listing("cell", box=SIMPLE_HEAD)
+    for heading in ("runs", "success %", "95 % interval", "formed", "safe", "<r", "median", "slowest", "nearest"):
+        listing.add_column(heading, no_wrap=True, justify="right")
+    for cell in cells:
         listing.add_row(
             cell["cell"],
             str(cell["runs"]),
-            f"{cell['success_rate']:.2%}",
-            f"{cell['success_low']:.2%} to {cell['success_high']:.2%}",
-            f"{cell['formed_rate']:.2%}",
-            f"{cell['safe_rate']:.2%}",
+            f"{100 * cell['success_rate']:.4g}",
+            f"{100 * cell['success_low']:.4g}-{100 * cell['success_high']:.4g}",
+            f"{100 * cell['formed_rate']:.4g}",
+            f"{100 * cell['safe_rate']:.4g}",
             str(cell["below_r"]),
             _figure(cell["median_time_to_form_s"], "s"),
             _figure(cell["max_time_to_form_s"], "s"),

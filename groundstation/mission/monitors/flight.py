@@ -13,7 +13,6 @@ from groundstation.core.metrics import pair_distances_m
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan import MissionPlan
-from groundstation.mission.profiles import PROFILES
 
 _BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
 _SMOOTH_S = 1.0
@@ -49,7 +48,7 @@ class Following:
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._limit_m_s = plan.tracking_m_s
-        self._lag_s: FloatArray = np.array([PROFILES[vehicle.profile].lag_s for vehicle in plan.spec.vehicles])
+        self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
         self._model: FloatArray = np.zeros((n, 3))
         self._error: FloatArray = np.zeros((n, 3))
         self._steered_s: FloatArray = np.zeros(n)
