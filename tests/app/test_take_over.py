@@ -22,7 +22,11 @@ class _Died(Exception):  # noqa: N818 - the end of a process, not an error
 
 
 def _left_in_the_air(
-    plan: MissionPlan, when: Callable[[Flight], bool], *, idle_s: float = 3.0, prepare: Callable[[World], None] | None = None
+    plan: MissionPlan,
+    when: Callable[[Flight], bool],
+    *,
+    idle_s: float = 3.0,
+    prepare: Callable[[World], None] | None = None,
 ) -> World:
     """Flies until something is so, then nobody is there for a while."""
     worlds: list[World] = []
