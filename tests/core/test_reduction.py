@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.control import ScaleFunction, formation_control
-from groundstation.core.formation import Formation, Gains
 from groundstation.core.reduction import task_for_those_left, without_roles
 from groundstation.core.views import local_views
 from groundstation.design.store import load_formation, load_gains
@@ -69,16 +68,21 @@ def test_a_cube_without_a_corner_stands_still_under_the_law_and_would_not_withou
     assert np.abs(wish).max() < 1e-4
 
 
-def test_a_team_too_small_or_an_agent_that_hangs_on_nobody_is_refused() -> None:
+def test_a_team_too_small_is_refused() -> None:
     formation, gains = LOADED["cube8"]
     gone = np.ones(8, dtype=np.bool_)
     gone[0] = False
     with pytest.raises(ValueError, match="1 of 8 roles are left, minimum is 2"):
         without_roles(formation, gains, gone)
-    alone = Formation("alone", np.eye(3), ((0, 1),))
-    block = np.array([[-1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 0.0]])
-    with pytest.raises(ValueError, match=r"gains of roles \[3\] cannot be taken out: they hang on nobody"):
-        without_roles(alone, Gains(block.astype(np.complex128), block), np.array([False, False, True]))
+
+
+def test_a_pyramid_without_its_top_is_a_flat_formation() -> None:
+    formation, gains = LOADED["pyramid5"]
+    top = int(np.argmax(formation.points_enu_m[:, 2]))
+    smaller, reduced, _ = without_roles(formation, gains, np.arange(5) == top)
+    assert np.ptp(smaller.points_enu_m[:, 2]) < 1e-9
+    assert np.linalg.eigvalsh(reduced.z).max() < 1e-4
+    assert np.linalg.eigvalsh(reduced.xy)[:2].max() < -0.1
 
 
 def test_gains_that_come_along_are_there() -> None:
