@@ -51,7 +51,7 @@ def without_roles(formation: Formation, gains: Gains, gone: BoolArray) -> tuple[
 def _schur(full: ComplexArray, gone: BoolArray) -> ComplexArray:
     """A_rr - A_rg A_gg^-1 A_gr."""
     left = ~gone
-    # Where those that are left have one height, A_gg of the heights is singular and the pseudo-inverse is what is right.
+    # Where those that are left have one height, A_gg of the heights is singular: the pseudo-inverse is right there too.
     inverse = np.linalg.pinv(full[np.ix_(gone, gone)], rcond=_RELATIVE_ZERO, hermitian=True)
     return np.asarray(
         full[np.ix_(left, left)] - full[np.ix_(left, gone)] @ inverse @ full[np.ix_(gone, left)], dtype=np.complex128
