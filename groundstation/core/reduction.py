@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.control import Task, task_for_roles
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import BoolArray, ComplexArray, IntArray
 
@@ -52,6 +53,36 @@ def _schur(full: ComplexArray, gone: BoolArray) -> ComplexArray:
     left = ~gone
     inner = full[np.ix_(gone, gone)]
     if np.linalg.cond(inner) > _CONDITION_MAX:
-        raise ValueError(f"gains of roles {(np.flatnonzero(gone) + 1).tolist()} cannot be taken out: they hang on nobody")
+        raise ValueError(
+            f"gains of roles {(np.flatnonzero(gone) + 1).tolist()} cannot be taken out: they hang on nobody"
+        )
     solved = np.linalg.solve(inner, full[np.ix_(gone, left)])
     return np.asarray(full[np.ix_(left, left)] - full[np.ix_(left, gone)] @ solved, dtype=np.complex128)
+
+
+def task_for_those_left(
+    formation: Formation, gains: Gains, role_of_agent: IntArray, gone: BoolArray
+) -> tuple[Task, Formation, Gains]:
+    """Hands every agent that is left the rows of the reduced gains; those that are gone have no neighbours.
+
+    Args:
+        formation: all n roles.
+        gains: of all n roles.
+        role_of_agent: shape (n,), a permutation; the roles of those that are gone stay open.
+        gone: agents that do not fly the formation, shape (n,).
+
+    Returns:
+        The task of all n agents, and the formation and gains of the roles that are left.
+
+    Raises:
+        ValueError: as ``without_roles``.
+    """
+    n = formation.size
+    open_roles = np.zeros(n, dtype=np.bool_)
+    open_roles[role_of_agent[gone]] = True
+    smaller, reduced, left = without_roles(formation, gains, open_roles)
+    xy, z = np.zeros((n, n), dtype=np.complex128), np.zeros((n, n))
+    xy[np.ix_(left, left)], z[np.ix_(left, left)] = reduced.xy, reduced.z
+    edges = tuple((int(left[i]), int(left[j])) for i, j in smaller.edges)
+    whole = Formation(formation.name, formation.points_enu_m, edges)
+    return task_for_roles(whole, Gains(xy=xy, z=z), role_of_agent), smaller, reduced

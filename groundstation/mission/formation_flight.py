@@ -6,14 +6,15 @@ steering itself is ``guidance``; nothing here moves a vehicle past avoidance and
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.control import Task, task_for_roles
+from groundstation.core.control import Task, auto_control_gain, rate_for_auto_gain_1_s, task_for_roles
 from groundstation.core.metrics import formation_error_m, vertical_orientation
+from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.guidance import Guide, Poses
@@ -54,6 +55,7 @@ class FormationFlight:
     Attributes:
         role_of_agent: role per vehicle, shape (n,).
         gather_ned_m: place in the air above each pad, shape (n, 3).
+        gone: vehicles that no longer fly the formation, shape (n,).
     """
 
     def __init__(
@@ -61,12 +63,14 @@ class FormationFlight:
     ) -> None:
         n = plan.size
         self.role_of_agent: IntArray = np.arange(n)
+        self.gone: BoolArray = np.zeros(n, dtype=np.bool_)
         self.gather_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._plan = plan
         self._guide = guide
         self._figures = figures
         self._note = note
         self._task: Task | None = None
+        self._control_gain = plan.control_gain
         self._step_index = -1
         self._step_ns = NEVER
         self._steady_since_ns = NEVER
@@ -80,10 +84,7 @@ class FormationFlight:
             roles: role per vehicle, shape (n,): those that the autopilots' failsafe heights were set for.
         """
         plan = self._plan
-        self.role_of_agent = roles
-        self._task = task_for_roles(plan.formation, plan.gains, roles)
-        numbers = " ".join(str(role + 1) for role in roles)
-        self._note("roles", f"roles {numbers}", tuple(int(role) for role in roles))
+        self._fly_as(roles)
         # Where a mission does without the upright term, whoever ends higher can start a little higher: from one
         # common height the law alone leaves to chance whether the formation stands upright or on its head.
         height: FloatArray = plan.formation.points_enu_m[roles, 2]
@@ -101,6 +102,53 @@ class FormationFlight:
             return Phase.RETURN
         return Phase.FORM if self._plan.spec.steps[self._step_index].form is not None else Phase.HOLD
 
+    def leave(self, vehicles: Sequence[int], now_ns: int) -> str:
+        """Goes on without some vehicles: their roles stay open, or others move up; back to the last ``form`` step.
+
+        Roles count in the order of the formation file, the first the most: with ``continue_take_over`` the vehicle in
+        the last role that is taken moves up into one that has become free before it.
+
+        Returns:
+            Why the team cannot go on without them, empty when it can.
+        """
+        self.gone[list(vehicles)] = True
+        n, left = self._plan.size, int((~self.gone).sum())
+        if left < 2 or 2 * left <= n:
+            return f"{left} of {n} vehicles are left in the formation, which needs more than half and two at least"
+        roles = self.role_of_agent.copy()
+        if self._plan.spec.on_lost == "continue_take_over":
+            for free in sorted(roles[self.gone].tolist()):
+                last = max(np.flatnonzero(~self.gone).tolist(), key=lambda agent: int(roles[agent]))
+                holder = int(np.flatnonzero(roles == free)[0])
+                if self.gone[holder] and roles[last] > free:
+                    roles[holder], roles[last] = roles[last], free
+                    self._figures.role_swaps += 1
+        try:
+            self._fly_as(roles)
+        except ValueError as error:
+            return str(error)
+        while self._plan.spec.steps[self._step_index].form is None:
+            self._step_index -= 1
+        self._step_ns = now_ns
+        self._steady_since_ns = NEVER
+        self._figures.converged = False
+        return ""
+
+    def _fly_as(self, roles: IntArray) -> None:
+        """Takes up roles, with the gains of those that are left where somebody is gone."""
+        plan = self._plan
+        if self.gone.any():
+            task, smaller, gains = task_for_those_left(plan.formation, plan.gains, roles, self.gone)
+            # Neighbours of a missing one have become neighbours of each other: the loop may be faster than before.
+            rate_1_s = rate_for_auto_gain_1_s(smaller, gains, plan.scale, plan.upright_1_s)
+            able = auto_control_gain(rate_1_s, plan.profile.lag_s, plan.profile.delay_s, plan.lead_s)
+            self._control_gain = min(plan.control_gain, able)
+        else:
+            task = task_for_roles(plan.formation, plan.gains, roles)
+        self.role_of_agent, self._task = roles, task
+        numbers = " ".join("-" if gone else str(role + 1) for role, gone in zip(roles, self.gone, strict=True))
+        self._note("roles", f"roles {numbers}", tuple(int(role) for role in roles))
+
     def stood_still(self, held_ns: int) -> None:
         """The operator held the team for a while: the step's clock did not run."""
         self._step_ns += held_ns
@@ -114,17 +162,18 @@ class FormationFlight:
         """
         step = self._plan.spec.steps[self._step_index]
         formation = self._plan.formation
-        error_m = formation_error_m(poses.pos_team_ned_m, formation.distances_m, self.role_of_agent)
+        here, roles = poses.pos_team_ned_m[~self.gone], self.role_of_agent[~self.gone]
+        error_m = formation_error_m(here, formation.distances_m, roles)
         enter, give_up = None, ""
         if step.form is not None:
             heights = formation.points_enu_m[:, 2]
-            upright = vertical_orientation(-poses.pos_team_ned_m[:, 2], heights, self.role_of_agent) >= 0.0
+            upright = vertical_orientation(-here[:, 2], heights, roles) >= 0.0
             enter, give_up = self._forming(step.form, error_m if upright else np.inf, now_ns)
         elif step.hold is not None:
             enter, give_up = self._holding(step.hold, error_m, now_ns)
         if self._task is None:
             raise RuntimeError("formation flight without roles")
-        guidance = self._guide.formation(poses, self._task, self._plan.control_gain)
+        guidance = self._guide.formation(poses, self._task, self._control_gain)
         self.count_gridlocks(guidance.blocked, now_ns)
         return FormationTick(guidance.vel_ned_m_s, enter, give_up)
 

@@ -132,6 +132,8 @@ class Monitor:
                 return
             self._lost_ns[rows] = np.where(self.blind[rows], self._lost_ns[rows], sight.now_ns)
             self.blind[rows] = True
+        if reaction is Reaction.HOME and all(self.blind[row] or self._gone[row] for row in rows):
+            reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
         consequence = _CONSEQUENCES[reaction][sight.going_on]
         subject = f"vehicle {sight.fleet.sysid[rows[0]]}: " if len(rows) == 1 else ""
         text = f"{subject}{finding.what}" + (f"; {consequence}" if consequence else "")

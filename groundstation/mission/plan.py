@@ -129,7 +129,7 @@ class MissionPlan:
     def lost_radius_m(self) -> float:
         """How much larger than r an obstacle that nobody sees may become."""
         limit = self.spec.limits.lost_radius_m
-        return self.spec.avoidance.radius_m if limit is None else limit
+        return 0.5 * self.spec.avoidance.radius_m if limit is None else limit
 
     @property
     def battery_warn(self) -> float:

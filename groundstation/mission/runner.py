@@ -9,6 +9,7 @@ arming it ends at once, with nothing armed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -99,6 +100,7 @@ class Runner:
         self._arming = Arming(plan, self.fleet, self._station.commands)
         self._climb = Climb(plan)
         self._guide = Guide(plan)
+        self._guide_apart = Guide(plan)  # of those that fly apart from the formation: its setpoints are theirs alone
         self._monitor = Monitor(plan)
         self._check_only = check_only
         self._period_ns = round(_SECOND_NS / plan.spec.rate_hz)
@@ -121,6 +123,8 @@ class Runner:
         self._resume_phase_ns = start_ns
         self._lands_here = False
         self._spoken_to = False  # after silence: the operator wants something of the vehicles again
+        self._homing: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._home_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
@@ -233,9 +237,8 @@ class Runner:
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
         if self.phase is Phase.SILENT and not (self._spoken_to or self._killing.asked.any()):
             return []  # heartbeats too: some autopilots act only when those are gone
-        velocity = self._sent_ned_m_s = np.where(
-            (self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity
-        )
+        still = self._monitor.hold | self._landing.asked | self._released
+        velocity = self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -370,7 +373,42 @@ class Runner:
             self._give_up(tick.give_up, now_ns)
         elif tick.enter is not None:
             self._enter(tick.enter, now_ns)
-        return tick.vel_ned_m_s
+        if not self._flight.gone.any():
+            return tick.vel_ned_m_s
+        return np.where(self._flight.gone[:, None], self._fly_apart(now_ns, poses), tick.vel_ned_m_s)
+
+    def _fly_apart(self, now_ns: int, poses: Poses) -> FloatArray:
+        """Those that no longer fly the formation: home, where they land, or standing where they are to land."""
+        home = self._flight.gather_ned_m
+        near = np.linalg.norm(poses.pos_team_ned_m - home, axis=1) < max(_PAD_TOLERANCE_M, self._spread_m)
+        near &= self._homing & ~self._landing.here
+        self._home_since_ns = np.where(near, np.where(self._home_since_ns == NEVER, now_ns, self._home_since_ns), NEVER)
+        arrived = np.flatnonzero(near & (now_ns - self._home_since_ns >= _STEADY_NS)).tolist()
+        self._stay_ned_m[arrived] = home[arrived]
+        self._landing.want_here(arrived, now_ns)
+        targets = np.where(self._homing[:, None] & ~self._landing.here[:, None], home, self._stay_ned_m)
+        return self._guide_apart.to_targets(poses, targets).vel_ned_m_s
+
+    def _going_on(self) -> bool:
+        """Whether the mission goes on without a vehicle that is lost now."""
+        phase = self._resume_to if self.phase is Phase.PAUSE else self.phase
+        return self.plan.spec.on_lost != "return_all" and phase in FORMATION_PHASES
+
+    def _part(self, vehicles: Sequence[int], reason: str, now_ns: int) -> None:
+        """Some vehicles drop out: the others come back, or go on without them, as the mission says."""
+        if not self._going_on():
+            self._give_up(reason, now_ns)
+            return
+        why_not = self._flight.leave(vehicles, now_ns)
+        if why_not:
+            self._give_up(f"{reason}; {why_not}", now_ns)
+            return
+        self._abort(reason)
+        self._steady_since_ns = NEVER
+        if self.phase is Phase.PAUSE:
+            self._resume_to, self._resume_phase_ns = Phase.FORM, NEVER
+        else:
+            self._enter(Phase.FORM, now_ns)
 
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
@@ -509,7 +547,7 @@ class Runner:
             self._landing.want_here(vehicles, now_ns)
             if vehicles:
                 names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in vehicles)
-                self._give_up(f"{names}: landed by the operator", now_ns)
+                self._part(vehicles, f"{names}: landed by the operator", now_ns)
             return
         self._abort("landed by the operator")
         ours = ~(self._released | self._monitor.blind | self._landing.here)
@@ -537,7 +575,7 @@ class Runner:
             if self.phase is not Phase.SILENT:
                 self._enter(Phase.SILENT, now_ns)
         else:
-            self._give_up(reason, now_ns)
+            self._part(command.vehicles, reason, now_ns)
 
     def _rest(self, poses: Poses) -> FloatArray:
         """Where everybody comes to rest when told to stop now, shape (n, 3)."""
@@ -561,7 +599,9 @@ class Runner:
             sent_ned_m_s=self._sent_ned_m_s,
             steered=~(self._released | self._climb.under_way | self._monitor.hold | self._landing.here),
             excused=excused,
+            blind=self._monitor.blind,
             airborne=self.airborne,
+            going_on=self._going_on(),
         )
         findings = self._monitor.look(sight)
         for text in findings.alarms:
@@ -572,6 +612,11 @@ class Runner:
         if findings.land:
             self._stay_ned_m[findings.land] = poses.pos_team_ned_m[findings.land]
             self._landing.want_here(findings.land, now_ns)
+        if findings.gone:
+            self._homing[findings.home] = True
+            dropped = sorted({*findings.land, *findings.release, *findings.home})
+            if not self._flight.gone[dropped].all():
+                self._part(dropped, "; ".join(findings.gone), now_ns)
         if findings.abort:
             # One reason for each vehicle, the first: what is found of it later follows from that, and only alarms.
             subject = findings.abort.partition(":")[0]

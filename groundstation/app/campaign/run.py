@@ -170,9 +170,7 @@ class _Flown:
             writer = None
             if log is not None:
                 write_manifest(manifest_path(log), manifest)
-                writer = stack.enter_context(
-                    TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links)
-                )
+                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links))
             runner = Runner(plan, 0)
             try:
                 fly_virtual(
@@ -241,9 +239,7 @@ class _Flown:
         np.minimum(self._pair_m, pairs, out=self._pair_m)
         obedient = ~self._unsteered
         self._min_m = min(self._min_m, float(pairs.min()))
-        self._min_obedient_m = min(
-            self._min_obedient_m, float(pairs[np.ix_(obedient, obedient)].min(initial=math.inf))
-        )
+        self._min_obedient_m = min(self._min_obedient_m, float(pairs[np.ix_(obedient, obedient)].min(initial=math.inf)))
 
     def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:
         plan, figures, setting = self._plan, runner.figures, self._case.setting

@@ -145,7 +145,9 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
 
     with ExitStack() as stack:
         stack.enter_context(
-            dask.config.set({"distributed.comm.timeouts.connect": "10s", "distributed.admin.large-graph-warning-threshold": "1GB"})
+            dask.config.set(
+                {"distributed.comm.timeouts.connect": "10s", "distributed.admin.large-graph-warning-threshold": "1GB"}
+            )
         )
         for name in ("distributed", "distributed.worker", "distributed.nanny", "distributed.scheduler"):
             logging.getLogger(name).setLevel(logging.CRITICAL)

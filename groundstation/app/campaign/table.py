@@ -97,7 +97,9 @@ class Table:
                 self._check(identity, resume=resume)
             self._replace(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
         except OSError as error:
-            raise UserError(f"{self.folder}: cannot be written: {error.strerror or error}; give another folder") from None
+            raise UserError(
+                f"{self.folder}: cannot be written: {error.strerror or error}; give another folder"
+            ) from None
         numbers = [int(path.stem.removeprefix("part-")) for path in self._part_paths()]
         self._next = max(numbers, default=-1) + 1
         return {row["run"] for row in self._rows(["run"])}

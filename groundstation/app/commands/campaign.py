@@ -121,7 +121,9 @@ def _mission(mission: Path | None, varied: Vary) -> Path:
 def _announce(out: Output, varied: Vary, count: int, todo: int) -> None:
     cells = len(varied.cells)
     each = f" over {cells} cells, {count / cells:.4g} each" if cells > 1 else ""
-    out.console.print(f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}")
+    out.console.print(
+        f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}"
+    )
     if count < cells:
         out.console.print(f"fewer runs than cells: the last {cells - count} cells are not flown")
 

@@ -67,6 +67,7 @@ class Sight:
         sent_ned_m_s: the velocities that were sent last, shape (n, 3).
         steered: gets setpoints that it should follow, shape (n,).
         excused: told to land or to stop its motors, shape (n,): it may leave the streaming mode and disarm.
+        blind: position lost for good, shape (n,): nothing is judged by where it says it is.
         airborne: shape (n,).
         going_on: the mission goes on without a vehicle that is lost.
     """
@@ -80,6 +81,7 @@ class Sight:
     sent_ned_m_s: FloatArray
     steered: BoolArray
     excused: BoolArray
+    blind: BoolArray
     airborne: BoolArray
     going_on: bool = False
 

@@ -36,7 +36,8 @@ class BeyondFence:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back: whatever carries one vehicle out may carry out the next."""
         outside_m = self._fence.outside_m(sight.pos_team_ned_m)
-        for vehicle in self._lasting((outside_m > self._limit_m) & ours & ~sight.excused, sight.now_ns):
+        counts = ours & ~sight.excused & ~sight.blind
+        for vehicle in self._lasting((outside_m > self._limit_m) & counts, sight.now_ns):
             what = f"{outside_m[vehicle]:.2f} m outside the fence, limit {self._limit_m:g} m"
             yield Finding(Reaction.ALL_HOME, what, (vehicle,))
 
@@ -59,7 +60,7 @@ class Following:
         """Brings back whoever strays, and lands it where it is when it goes on straying."""
         passed_s = min((sight.now_ns - self._last_ns) / SECOND_NS, 0.2)
         self._last_ns = sight.now_ns
-        counts = sight.steered & sight.airborne & ours & ~sight.excused
+        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
         new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]
         step = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None]
@@ -89,7 +90,7 @@ class Distance:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back: what has kept them apart has failed."""
         apart_m = pair_distances_m(sight.pos_team_ned_m)[self._first, self._second]
-        counts = sight.airborne & ours & ~sight.excused
+        counts = sight.airborne & ours & ~sight.excused & ~sight.blind
         near = (apart_m < self._radius_m) & counts[self._first] & counts[self._second]
         for pair in self._lasting(near, sight.now_ns):
             ids = sight.fleet.sysid[[self._first[pair], self._second[pair]]]
