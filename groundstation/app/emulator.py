@@ -15,7 +15,6 @@ import numpy as np
 
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
-from groundstation.core.metrics import formation_error_m
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
@@ -158,7 +157,5 @@ class TruthMeter:
         """Looks at the world after a tick."""
         runner = session.runner
         if runner.phase is Phase.HOLD:
-            error = formation_error_m(
-                self._world.truth.pos_enu_m, runner.plan.formation.distances_m, runner.role_of_agent
-            )
+            error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))

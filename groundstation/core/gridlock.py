@@ -142,7 +142,7 @@ class Gridlocks:
         tick_s, reach_m = self.params.tick_s, 0.25 * self.params.keep_out_m
         self._left_s = np.maximum(self._left_s - tick_s, 0.0)
         for i in np.flatnonzero(self.detours):
-            way = self._ways[i] - vel_m_s[i] * tick_s
+            way = self._ways[i] - np.nan_to_num(vel_m_s[i]) * tick_s
             # A corner counts as reached early, the end when it is near.
             while len(way) > 1 and float(np.linalg.norm(way[0])) < 2.0 * reach_m:
                 way = way[1:]
@@ -155,8 +155,8 @@ class Gridlocks:
             wish[i] = way[0] * (speed / max(distance, 1e-9))
         return wish
 
-    def sense(self, sensed: Sensed) -> None:
-        """Takes one tick: who is stuck, by whom, and for how long."""
+    def sense(self, sensed: Sensed, absent: BoolArray) -> None:
+        """Takes one tick: who is stuck, by whom, and for how long; ``absent`` agents do not follow, shape (n,)."""
         params = self.params
         keep = np.exp(-params.tick_s / params.memory_s)
         self._wish = keep * self._wish + (1.0 - keep) * sensed.wish_m_s
@@ -166,7 +166,8 @@ class Gridlocks:
         along = (self._vel * self._wish).sum(axis=1)
         stuck = square > (params.least_wish * params.speed_limit_m_s) ** 2
         stuck &= along < params.progress * square
-        stuck &= self._held.max(axis=1) > _IN_THE_WAY
+        stuck &= (self._held.max(axis=1) > _IN_THE_WAY) & ~absent
+        self.detours &= ~absent
         self._stuck_s = np.where(stuck, self._stuck_s + params.tick_s, 0.0)
         locked = self._stuck_s >= params.patience_s
         self.begun = locked & ~self.locked
@@ -213,12 +214,13 @@ class Gridlocks:
             self.locked[both] = False
         return pairs
 
-    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, *, at_once: bool) -> list[int]:
+    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, absent: BoolArray, *, at_once: bool) -> list[int]:
         """Sends agents that are locked in on detours; one at most in a tick, for planning takes time.
 
         Args:
             sensed: this tick.
             to_goal_m: from each agent to where it belongs, shape (n, 3).
+            absent: agents that do not follow, shape (n,).
             at_once: there are no swaps to be waited for.
 
         Returns:
@@ -240,7 +242,7 @@ class Gridlocks:
                 self._send(i, way)
                 return [i]
             # Every other agent that holds this one and rests gives way too.
-            rests = [int(j) for j in holders if not self.detours[j] and not self.locked[j]]
+            rests = [int(j) for j in holders if not (self.detours[j] or self.locked[j] or absent[j])]
             for j in [i, *rests]:
                 away = back_off(sensed.rel_m[j][sensed.visible[j]])
                 target = np.clip(_BACK_OFF * self.params.keep_out_m * away, sensed.low_m[j], sensed.high_m[j])
