@@ -214,9 +214,9 @@ def plan_moves(
         points = stage.formation.points_enu_m - stage.formation.points_enu_m.mean(axis=0)
         if step.form is not None:
             size = 1.0
+            centre[2] = max(centre[2], floor_m - float(points[:, 2].min()))
         elif step.move is not None:
             key = f"{source}: steps[{number}].move"
-            centre[2] = max(centre[2], floor_m - size * float(points[:, 2].min()))
             move = _timed(step.move, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
             moves[number] = move
             size *= move.scale
