@@ -72,7 +72,9 @@ def own_places(
     to_own = pos_mean + scale[:, None] * _turned(turn, own_point - points_mean)
     from_centre = scale[:, None] * _turned(turn, own_point - points_by_agent_m.mean(axis=0))
     wanted = scale[:, None, None] * _turned(turn[:, None], points_by_agent_m[None] - own_point[:, None])
-    return Places(np.where(visible.any(axis=1)[:, None], to_own, 0.0), from_centre, wanted)
+    alone = ~np.asarray(visible.any(axis=1), dtype=np.bool_)
+    to_own[alone] = 0.0
+    return Places(to_own, from_centre, wanted)
 
 
 def _turned(turn: FloatArray, vector_m: FloatArray) -> FloatArray:

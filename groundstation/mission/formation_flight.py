@@ -286,7 +286,7 @@ class FormationFlight:
             number = max(
                 k for k, step in enumerate(self._plan.spec.steps[: self._step_index + 1]) if step.form is not None
             )
-            self._note("formation", f"step {number + 1}, {self.stage.formation.name}, scale {scale}", ())
+            self._note("info", f"formation of step {number + 1}: {self.stage.formation.name}, scale {scale}", ())
 
     def _forming(self, step: FormStep, error_m: float, now_ns: int, poses: Poses) -> tuple[Phase | None, str]:
         if error_m <= step.tolerance_m:
