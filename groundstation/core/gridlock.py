@@ -28,7 +28,6 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _IN_THE_WAY = 0.3  # share of the last moments in which somebody stood in the way, from which it counts
 _BACK_OFF = 1.5  # how far an agent backs off, in distances to keep
-_AFTER_SWAPS = 3.0  # patience with swaps that may come, as a multiple of that with which a gridlock begins
 _WORTH_M = 0.1  # nearer than this share of the distance to keep to its place nobody sets out on a detour
 
 
@@ -63,6 +62,16 @@ class GridlockParams:
     def patience_s(self) -> float:
         """How long an agent is stuck before it is locked in."""
         return 0.75 + self.settle_s
+
+    @property
+    def detour_s(self) -> float:
+        """How long an agent in formation flight is stuck before it sets out on a detour."""
+        return 2.5 * self.patience_s
+
+    @property
+    def home_detour_s(self) -> float:
+        """The same on the way to a point of its own, where gridlocks are rarer and mostly dissolve."""
+        return 5.0 * self.patience_s
 
     @property
     def pause_s(self) -> float:
@@ -214,21 +223,20 @@ class Gridlocks:
             self.locked[both] = False
         return pairs
 
-    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, absent: BoolArray, *, at_once: bool) -> list[int]:
+    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, absent: BoolArray, patience_s: float) -> list[int]:
         """Sends agents that are locked in on detours; one at most in a tick, for planning takes time.
 
         Args:
             sensed: this tick.
             to_goal_m: from each agent to where it belongs, shape (n, 3).
             absent: agents that do not follow, shape (n,).
-            at_once: there are no swaps to be waited for.
+            patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves.
 
         Returns:
             Agents that begin a detour, or back off, now.
         """
-        patience = self.params.patience_s * (1.0 if at_once else _AFTER_SWAPS)
         for i in np.argsort(-self._stuck_s, kind="stable").tolist():
-            if self._stuck_s[i] < patience:
+            if self._stuck_s[i] < patience_s:
                 break
             if float(np.linalg.norm(to_goal_m[i])) < _WORTH_M * self.params.keep_out_m:
                 continue

@@ -267,7 +267,8 @@ class FormationFlight:
                 return
         if to_goal_enu_m is None:
             return
-        sent = locks.begin_detours(sensed, to_goal_enu_m, absent, at_once=not swaps)
+        patience_s = locks.params.home_detour_s if course is None else locks.params.detour_s
+        sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s)
         self._figures.detours += len(sent)
         if sent:
             others = ", ".join(str(ids[k]) for k in sent[1:])
