@@ -184,6 +184,7 @@ class FormationFlight:
         forming = enter is None and step.form is not None
         course = Course(
             stage=self.stage,
+            control_gain=self._control_gain(),
             points_by_agent_m=self.formation.points_enu_m[self.role_of_agent],
             detour_enu_m_s=self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s)) if forming else None,
             motion=motion,
@@ -236,6 +237,11 @@ class FormationFlight:
         if self._size == 1.0:
             return task
         return replace(task, distances_m=self._size * task.distances_m, rise_m=self._size * task.rise_m)
+
+    def _control_gain(self) -> float:
+        """The stage's k; an automatic one falls as distances grow, for what tilted views and f make of them grows."""
+        stage = self.stage
+        return stage.control_gain / max(1.0, self._size) if self._plan.spec.gain == "auto" else stage.control_gain
 
     def _get_out(
         self,

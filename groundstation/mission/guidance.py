@@ -79,6 +79,7 @@ class Course:
 
     Attributes:
         stage: the formation under way, with its gains and its law.
+        control_gain: k that multiplies (14), for the size that the formation has at the moment.
         points_by_agent_m: the point of each agent's role at its present size, ENU, shape (n, 3).
         detour_enu_m_s: what agents on a detour wish instead of their law, NaN for all others, shape (n, 3).
         motion: what the formation does as one; None at rest.
@@ -86,6 +87,7 @@ class Course:
     """
 
     stage: Stage
+    control_gain: float
     points_by_agent_m: FloatArray
     detour_enu_m_s: FloatArray | None = None
     motion: Motion | None = None
@@ -157,7 +159,7 @@ class Guide:
             seen,
             task,
             stage.scale,
-            stage.control_gain,
+            course.control_gain,
             lead_s=self._plan.lead_s,
             upright_1_s=stage.upright_1_s,
         )
