@@ -16,7 +16,7 @@ import numpy as np
 from groundstation.app.session import Session
 from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
-from groundstation.core.metrics import formation_error_m, min_clearance
+from groundstation.core.metrics import min_clearance
 from groundstation.core.regions import SafetySphere
 from groundstation.mission.failsafe import make_failsafe
 from groundstation.mission.plan import MissionPlan
@@ -186,7 +186,5 @@ class TruthMeter:
             truth = self._world.truth
             self.min_clearance = min(self.min_clearance, min_clearance(truth.pos_enu_m, region, truth.airborne))
         if runner.phase is Phase.HOLD:
-            error = formation_error_m(
-                self._world.truth.pos_enu_m, runner.plan.formation.distances_m, runner.role_of_agent
-            )
+            error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))

@@ -127,6 +127,8 @@ def damp(
     params: DamperParams,
     wall_normals_flu: FloatArray | None = None,
     wall_bounds_m_s: FloatArray | None = None,
+    *,
+    common_flu_m_s: FloatArray | None = None,
 ) -> Damped:
     """Changes velocities as little as possible so that nobody approaches anybody faster than both can stop.
 
@@ -141,6 +143,10 @@ def damp(
         wall_normals_flu: further unit vectors w per agent along which the velocity is bounded (`limits.fence_bounds`
             turned into the agent's frame), shape (m, w, 3).
         wall_bounds_m_s: their bounds, shape (m, w).
+        common_flu_m_s: velocity that each agent was told to share with the team, as part of a formation that moves and
+            turns as one, shape (m, 3). Along a line to another agent bounds then count from what both move along it
+            already, as measured, up to what was told: who follows a moving agent may keep up with it, and who
+            follows one that stays behind may not run into it.
 
     Returns:
         New velocities; rows within all bounds come back unchanged.
@@ -152,6 +158,8 @@ def damp(
     if vel_flu_m_s.shape != (m, 3) or not np.all(np.isfinite(vel_flu_m_s)):
         raise ValueError(f"wanted velocities must be finite and of shape ({m}, 3)")
     normals, bounds = approach_bounds(views, params)
+    if common_flu_m_s is not None:
+        bounds = bounds + _shared_m_s(views, normals, common_flu_m_s)
     if wall_normals_flu is not None and wall_bounds_m_s is not None:
         normals = np.concatenate([normals, wall_normals_flu], axis=1)
         bounds = np.concatenate([bounds, wall_bounds_m_s], axis=1)
@@ -171,6 +179,17 @@ def damp(
         if speed > params.speed_limit_m_s:
             vel[i] *= params.speed_limit_m_s / speed
     return Damped(vel, changed, held, infeasible, broken[:, : views.team_size])
+
+
+def _shared_m_s(views: LocalViews, normals: FloatArray, common_flu_m_s: FloatArray) -> FloatArray:
+    """What two agents move along the line between them together: measured, up to what was told; shape (m, n).
+
+    Both ends of a pair measure the same mean of their velocities, so what one bound gains the other loses.
+    """
+    told = (normals * common_flu_m_s[:, None]).sum(axis=2)
+    mean_flu_m_s = views.vel_flu_m_s[:, None] + 0.5 * views.rel_vel_flu_m_s
+    moved = (normals * np.where(np.isfinite(mean_flu_m_s), mean_flu_m_s, 0.0)).sum(axis=2)
+    return np.asarray(np.clip(moved, np.minimum(told, 0.0), np.maximum(told, 0.0)), dtype=np.float64)
 
 
 def walls(rot_ned_from_flu: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:

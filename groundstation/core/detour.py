@@ -8,12 +8,13 @@ from a new view when it does not work out. Refuses nothing: where there is no wa
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from groundstation.core.types import BoolArray, FloatArray
 
-_AROUND = 18
-_MOST_OBSTACLES = 10
+_AROUND = 14
+_MOST_OBSTACLES = 8
 _CLEAR = 1.03  # ways keep this many times the distance asked for, points lie at _BESIDE times
 _BESIDE = 1.12
 _LEFT = 0.1  # length added per metre that a point lies to the left: two agents head on both turn to their right
@@ -69,13 +70,13 @@ def way_round(
     detour = _LEFT * np.maximum(nodes @ left, 0.0)
     weights = np.zeros((len(nodes), len(nodes)))
     weights[first, second] = np.where(free, length + 0.5 * (detour[first] + detour[second]) + 1e-9, 0.0)
-    distance, before = dijkstra(weights, directed=False, indices=0, return_predecessors=True)
-    if not np.isfinite(distance[1]):
+    length_m, before = dijkstra(csr_matrix(weights), directed=False, indices=np.array([0]), return_predecessors=True)
+    if not np.isfinite(length_m[0, 1]):
         return None
     way, node = [], 1
     while node != 0:
         way.append(nodes[node])
-        node = int(before[node])
+        node = int(before[0, node])
     return np.array(way[::-1])
 
 

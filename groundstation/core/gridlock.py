@@ -28,7 +28,6 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _IN_THE_WAY = 0.3  # share of the last moments in which somebody stood in the way, from which it counts
 _BACK_OFF = 1.5  # how far an agent backs off, in distances to keep
-_AFTER_SWAPS = 3.0  # patience with swaps that may come, as a multiple of that with which a gridlock begins
 _WORTH_M = 0.1  # nearer than this share of the distance to keep to its place nobody sets out on a detour
 
 
@@ -63,6 +62,16 @@ class GridlockParams:
     def patience_s(self) -> float:
         """How long an agent is stuck before it is locked in."""
         return 0.75 + self.settle_s
+
+    @property
+    def detour_s(self) -> float:
+        """How long an agent in formation flight is stuck before it sets out on a detour."""
+        return 2.5 * self.patience_s
+
+    @property
+    def home_detour_s(self) -> float:
+        """The same on the way to a point of its own, where gridlocks are rarer and mostly dissolve."""
+        return 5.0 * self.patience_s
 
     @property
     def pause_s(self) -> float:
@@ -142,7 +151,7 @@ class Gridlocks:
         tick_s, reach_m = self.params.tick_s, 0.25 * self.params.keep_out_m
         self._left_s = np.maximum(self._left_s - tick_s, 0.0)
         for i in np.flatnonzero(self.detours):
-            way = self._ways[i] - vel_m_s[i] * tick_s
+            way = self._ways[i] - np.nan_to_num(vel_m_s[i]) * tick_s
             # A corner counts as reached early, the end when it is near.
             while len(way) > 1 and float(np.linalg.norm(way[0])) < 2.0 * reach_m:
                 way = way[1:]
@@ -155,8 +164,8 @@ class Gridlocks:
             wish[i] = way[0] * (speed / max(distance, 1e-9))
         return wish
 
-    def sense(self, sensed: Sensed) -> None:
-        """Takes one tick: who is stuck, by whom, and for how long."""
+    def sense(self, sensed: Sensed, absent: BoolArray) -> None:
+        """Takes one tick: who is stuck, by whom, and for how long; ``absent`` agents do not follow, shape (n,)."""
         params = self.params
         keep = np.exp(-params.tick_s / params.memory_s)
         self._wish = keep * self._wish + (1.0 - keep) * sensed.wish_m_s
@@ -166,7 +175,8 @@ class Gridlocks:
         along = (self._vel * self._wish).sum(axis=1)
         stuck = square > (params.least_wish * params.speed_limit_m_s) ** 2
         stuck &= along < params.progress * square
-        stuck &= self._held.max(axis=1) > _IN_THE_WAY
+        stuck &= (self._held.max(axis=1) > _IN_THE_WAY) & ~absent
+        self.detours &= ~absent
         self._stuck_s = np.where(stuck, self._stuck_s + params.tick_s, 0.0)
         locked = self._stuck_s >= params.patience_s
         self.begun = locked & ~self.locked
@@ -213,20 +223,20 @@ class Gridlocks:
             self.locked[both] = False
         return pairs
 
-    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, *, at_once: bool) -> list[int]:
+    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, absent: BoolArray, patience_s: float) -> list[int]:
         """Sends agents that are locked in on detours; one at most in a tick, for planning takes time.
 
         Args:
             sensed: this tick.
             to_goal_m: from each agent to where it belongs, shape (n, 3).
-            at_once: there are no swaps to be waited for.
+            absent: agents that do not follow, shape (n,).
+            patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves.
 
         Returns:
             Agents that begin a detour, or back off, now.
         """
-        patience = self.params.patience_s * (1.0 if at_once else _AFTER_SWAPS)
         for i in np.argsort(-self._stuck_s, kind="stable").tolist():
-            if self._stuck_s[i] < patience:
+            if self._stuck_s[i] < patience_s:
                 break
             if float(np.linalg.norm(to_goal_m[i])) < _WORTH_M * self.params.keep_out_m:
                 continue
@@ -240,7 +250,7 @@ class Gridlocks:
                 self._send(i, way)
                 return [i]
             # Every other agent that holds this one and rests gives way too.
-            rests = [int(j) for j in holders if not self.detours[j] and not self.locked[j]]
+            rests = [int(j) for j in holders if not (self.detours[j] or self.locked[j] or absent[j])]
             for j in [i, *rests]:
                 away = back_off(sensed.rel_m[j][sensed.visible[j]])
                 target = np.clip(_BACK_OFF * self.params.keep_out_m * away, sensed.low_m[j], sensed.high_m[j])

@@ -30,7 +30,12 @@ class Places:
 
 
 def own_places(
-    rel_level_m: FloatArray, visible: BoolArray, points_by_agent_m: FloatArray, viewers: slice = slice(None)
+    rel_level_m: FloatArray,
+    visible: BoolArray,
+    points_by_agent_m: FloatArray,
+    viewers: slice = slice(None),
+    *,
+    free_scale: bool = False,
 ) -> Places:
     """Lays the formation over what each agent sees.
 
@@ -39,6 +44,7 @@ def own_places(
         visible: agent i sees agent j, shape (m, n).
         points_by_agent_m: the formation's point for the role that each agent has, shape (n, 3), z up.
         viewers: which of the n agents the m rows are.
+        free_scale: the formation may have any size, the one that fits is taken.
 
     Returns:
         Places in the axes of ``rel_level_m``.
@@ -57,11 +63,18 @@ def own_places(
     turn = np.where(seen, np.conj(points_xy) * pos_xy, 0.0).sum(axis=1)
     size = np.abs(turn)
     turn = np.where(size > 1e-12, turn / np.where(size > 1e-12, size, 1.0), 1.0)
+    scale: FloatArray = np.ones(len(turn), dtype=np.float64)
+    if free_scale:
+        spread = np.where(seen, (np.conj(points_xy) * points_xy).real, 0.0).sum(axis=1)
+        fits: BoolArray = np.asarray((spread > 1e-12) & (size > 1e-12), dtype=np.bool_)
+        scale = np.where(fits, size / np.where(fits, spread, 1.0), 1.0)
     own_point = points_by_agent_m[viewers]
-    to_own = pos_mean + _turned(turn, own_point - points_mean)
-    from_centre = _turned(turn, own_point - points_by_agent_m.mean(axis=0))
-    wanted = _turned(turn[:, None], points_by_agent_m[None] - own_point[:, None])
-    return Places(np.where(visible.any(axis=1)[:, None], to_own, 0.0), from_centre, wanted)
+    to_own = pos_mean + scale[:, None] * _turned(turn, own_point - points_mean)
+    from_centre = scale[:, None] * _turned(turn, own_point - points_by_agent_m.mean(axis=0))
+    wanted = scale[:, None, None] * _turned(turn[:, None], points_by_agent_m[None] - own_point[:, None])
+    alone = ~np.asarray(visible.any(axis=1), dtype=np.bool_)
+    to_own[alone] = 0.0
+    return Places(to_own, from_centre, wanted)
 
 
 def _turned(turn: FloatArray, vector_m: FloatArray) -> FloatArray:

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.core.assignment import assign_roles
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.failsafes import Wish
+from groundstation.mission.stages import roles_for
 
 if TYPE_CHECKING:
     from groundstation.mission.plan import MissionPlan
@@ -63,9 +63,7 @@ class FailsafePlan:
 
 def first_roles(plan: MissionPlan) -> IntArray:
     """Role per vehicle, from the pads: known before anybody has reported a position."""
-    if plan.spec.assignment == "auto":
-        return assign_roles(plan.pads_enu_m, plan.formation).role_of_agent
-    return np.arange(plan.size)
+    return roles_for(plan.stages[plan.stage_of_step[0]], plan.pads_enu_m)
 
 
 @dataclass(frozen=True)
@@ -91,12 +89,15 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
     spec = plan.spec.failsafe
     roles = first_roles(plan)
     clearance_m = plan.spec.avoidance.radius_m + plan.margin_m
-    stacked = _stacked(plan.formation.points_enu_m, clearance_m)
+    stacked = any(_stacked(plan.stages[k].formation.points_enu_m, clearance_m) for k in set(plan.stage_of_step))
     back = _returning(plan, roles, clearance_m)
     ceiling_m = spec.ceiling_m if spec.ceiling_m is not None else plan.spec.fence.max_m[2]
-    fits = back.top_m <= ceiling_m and back.in_time
+    several = len(set(plan.stage_of_step)) > 1 or bool(plan.moves)
+    fits = back.top_m <= ceiling_m and back.in_time and not several
     room = (
-        f"{plan.size} vehicles that return one above the other need {back.top_m:.1f} m of height, there are"
+        "a mission of several formations, or with moves, leaves open who flies above whom"
+        if several
+        else f"{plan.size} vehicles that return one above the other need {back.top_m:.1f} m of height, there are"
         f" {ceiling_m:g} m (failsafe.ceiling_m)"
         if back.top_m > ceiling_m
         else f"{plan.size} vehicles that return one after the other take too long for their autopilots"
@@ -105,7 +106,8 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
     if action == "auto":
         action = "return" if fits else "hold" if stacked else "land"
     elif action == "return" and not fits:
-        problem = f"failsafe.action: return: {room}; raise failsafe.ceiling_m, or let them hold"
+        remedy = "let them hold" if several else "raise failsafe.ceiling_m, or let them hold"
+        problem = f"failsafe.action: return: {room}; {remedy}"
     elif action == "land" and stacked:
         problem = "failsafe.action: land: the upper vehicles would land on the lower ones; let them return or hold"
     down_s, words = {

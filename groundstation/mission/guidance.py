@@ -14,13 +14,16 @@ from groundstation.core import frames
 from groundstation.core.avoidance import avoid
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
+from groundstation.core.gridlock import Sensed
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
+from groundstation.core.motion import Motion
 from groundstation.core.near import near_views
+from groundstation.core.places import Places, own_places
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
-from groundstation.mission.positioning import all_offsets
 from groundstation.mission.profiles import approach_rate_1_s
+from groundstation.mission.stages import Stage
 
 _NOBODY: FloatArray = np.zeros(0)
 """Stands for zeros of whatever size is right."""
@@ -64,10 +67,35 @@ class Setpoints:
     Attributes:
         vel_ned_m_s: within all limits, shape (n, 3).
         blocked: the agent wanted to move and found no free direction, shape (n,).
+        sensed: what each agent knows of itself, for ``core.gridlock``.
+        room: share of a commanded common motion that the fence leaves to all agents, 0 to 1.
     """
 
     vel_ned_m_s: FloatArray
     blocked: BoolArray
+    sensed: Sensed
+    room: float = 1.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """What the team is about, beyond its task.
+
+    Attributes:
+        stage: the formation under way, with its gains and its law.
+        control_gain: k that multiplies (14), for the size that the formation has at the moment.
+        points_by_agent_m: the point of each agent's role at its present size, ENU, shape (n, 3).
+        detour_enu_m_s: what agents on a detour wish instead of their law, NaN for all others, shape (n, 3).
+        motion: what the formation does as one; None at rest.
+        present: the part of it that shows in velocities already.
+    """
+
+    stage: Stage
+    control_gain: float
+    points_by_agent_m: FloatArray
+    detour_enu_m_s: FloatArray | None = None
+    motion: Motion | None = None
+    present: Motion | None = None
 
 
 class Guide:
@@ -82,8 +110,7 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What two positions may be off against each other is added to r and d: then true distances stay above r.
-        room_m = plan.region.room_m(all_offsets(plan.formation.points_enu_m))
-        margin_m = fitting_margin_m(plan.margin_m, room_m)
+        margin_m = fitting_margin_m(plan.margin_m, plan.room_m)
         self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
@@ -112,25 +139,67 @@ class Guide:
         """Forgets the last setpoints: everybody was told to stand still."""
         self._previous_ned_m_s = np.zeros((self._plan.size, 3))
 
-    def formation(self, poses: Poses, task: Task, control_gain: float) -> Setpoints:
+    @property
+    def keep_out_m(self) -> float:
+        """Distance that agents keep from each other, margin included."""
+        return self._damper.radius_m + self._damper.margin_m
+
+    @property
+    def settle_s(self) -> float:
+        """Lag and delay of the slowest vehicle."""
+        return self._stopping_s
+
+    def formation(self, poses: Poses, task: Task, course: Course) -> Setpoints:
         """One tick of (14) with avoidance, above the floor of formation flight."""
         if self._plan.size >= _MANY:
             views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
         else:
             views = self._views(poses, task.neighbours)
+        stage, motion = course.stage, course.motion
+        seen, common_enu = views, None
+        if motion is not None:
+            places = self._places(poses, views, course)
+            common_enu = motion.rigid(places.from_centre_m)
+            if course.present is not None:
+                seen = self._without(poses, views, course.present)
         wish = formation_control(
-            views,
+            seen,
             task,
-            self._plan.scale,
-            control_gain,
+            stage.scale,
+            course.control_gain,
             lead_s=self._plan.lead_s,
-            upright_1_s=self._plan.upright_1_s,
+            upright_1_s=stage.upright_1_s,
         )
+        if motion is not None:
+            grown = motion.growth_1_s * places.from_centre_m
+            wish = wish + _flu_from_enu(poses, grown)
         if self._plan.size >= _MANY:
             views = self._near_views(poses)
-        return self._finish(poses, views, wish, self._formation_box)
+        return self._finish(
+            poses,
+            views,
+            wish,
+            self._formation_box,
+            detour_enu_m_s=course.detour_enu_m_s,
+            common_enu_m_s=common_enu,
+        )
 
-    def to_targets(self, poses: Poses, target_team_ned_m: FloatArray) -> Setpoints:
+    def _places(self, poses: Poses, views: LocalViews, course: Course) -> Places:
+        """What each agent makes of its view, in its own level axes."""
+        rel_enu_m = _enu_from_flu(poses, views.rel_pos_flu_m)
+        free = course.stage.scale.kind == "free"
+        return own_places(rel_enu_m, views.visible, course.points_by_agent_m, free_scale=free)
+
+    def _without(self, poses: Poses, views: LocalViews, motion: Motion) -> LocalViews:
+        """Views without the common motion in relative velocities: the lead of the law is for what is not wanted."""
+        expected_enu = motion.relative(_enu_from_flu(poses, views.rel_pos_flu_m))
+        rot = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        expected_flu = frames.rotate_back(rot[:, None], frames.ned_from_enu(expected_enu))
+        return replace(views, rel_vel_flu_m_s=views.rel_vel_flu_m_s - expected_flu)
+
+    def to_targets(
+        self, poses: Poses, target_team_ned_m: FloatArray, detour_enu_m_s: FloatArray | None = None
+    ) -> Setpoints:
         """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground."""
         if self._plan.size >= _MANY:
             views = self._near_views(poses)
@@ -139,7 +208,7 @@ class Guide:
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
         wish = self._target_rate_1_s * frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned)
-        return self._finish(poses, views, wish, self._fence)
+        return self._finish(poses, views, wish, self._fence, detour_enu_m_s=detour_enu_m_s)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
         """What each agent sees: its neighbours, and whoever is near enough to hit."""
@@ -208,14 +277,40 @@ class Guide:
         farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
         return self._reach_m + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
 
-    def _finish(self, poses: Poses, views: LocalViews, wish_flu_m_s: FloatArray, box: Fence) -> Setpoints:
+    def _finish(
+        self,
+        poses: Poses,
+        views: LocalViews,
+        wish_flu_m_s: FloatArray,
+        box: Fence,
+        *,
+        detour_enu_m_s: FloatArray | None = None,
+        common_enu_m_s: FloatArray | None = None,
+    ) -> Setpoints:
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
-        avoided = avoid(views, saturate(wish_flu_m_s, speed_max), self._region)
         # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.
         ahead_ned_m = poses.pos_team_ned_m + self._stopping_s * poses.vel_ned_m_s
-        normals_flu, bounds_m_s = walls(rot_ned_from_flu, *fence_bounds(ahead_ned_m, box, self._approach_rate_1_s))
-        damped = damp(views, avoided.vel_flu_m_s, self._damper, normals_flu, bounds_m_s)
+        low_m_s, high_m_s = fence_bounds(ahead_ned_m, box, self._approach_rate_1_s)
+        wish_flu_m_s = saturate(wish_flu_m_s, speed_max)
+        if detour_enu_m_s is not None:
+            detour_flu_m_s = _flu_from_enu(poses, detour_enu_m_s)
+            wish_flu_m_s = np.where(np.isfinite(detour_flu_m_s), detour_flu_m_s, wish_flu_m_s)
+        common_flu, room = None, 1.0
+        if common_enu_m_s is None:
+            avoided = avoid(views, wish_flu_m_s, self._region)
+            wanted_flu_m_s = avoided.vel_flu_m_s
+        else:
+            room = _room(frames.ned_from_enu(common_enu_m_s), low_m_s, high_m_s)
+            common_flu = _flu_from_enu(poses, room * common_enu_m_s)
+            # Directions count from the common motion, which changes no distance; both together keep the speed limit.
+            left = np.maximum(speed_max - np.linalg.norm(common_flu, axis=1), 0.1 * speed_max)
+            size = np.linalg.norm(wish_flu_m_s, axis=1)
+            wish_flu_m_s = wish_flu_m_s * np.minimum(1.0, left / np.maximum(size, 1e-12))[:, None]
+            avoided = avoid(views, wish_flu_m_s, self._region)
+            wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)
+        normals_flu, bounds_m_s = walls(rot_ned_from_flu, low_m_s, high_m_s)
+        damped = damp(views, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)
         vel_ned_m_s = apply_limits(
             frames.rotate(rot_ned_from_flu, damped.vel_flu_m_s),
             self._previous_ned_m_s,
@@ -227,4 +322,34 @@ class Guide:
             fence_rate_1_s=self._approach_rate_1_s,
         )
         self._previous_ned_m_s = vel_ned_m_s
-        return Setpoints(vel_ned_m_s, avoided.blocked | damped.held)
+        corners = [frames.enu_from_ned(np.asarray(c)) for c in (box.min_team_ned_m, box.max_team_ned_m)]
+        pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
+        sensed = Sensed(
+            rel_m=_enu_from_flu(poses, views.rel_pos_flu_m),
+            visible=views.visible,
+            vel_m_s=frames.enu_from_ned(poses.vel_ned_m_s),
+            wish_m_s=_enu_from_flu(poses, wish_flu_m_s),
+            in_the_way=avoided.in_the_way | damped.in_the_way,
+            low_m=np.minimum(*corners) - pos_enu_m,
+            high_m=np.maximum(*corners) - pos_enu_m,
+        )
+        return Setpoints(vel_ned_m_s, avoided.blocked | damped.held, sensed, room)
+
+
+def _room(common_ned_m_s: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> float:
+    """Share of the common motion that no wall forbids to anybody: one who stops would be run into."""
+    towards = np.maximum(common_ned_m_s, 0.0) / np.maximum(high_m_s, 1e-6)
+    towards = np.maximum(towards, np.maximum(-common_ned_m_s, 0.0) / np.maximum(low_m_s, 1e-6))
+    return 1.0 / max(1.0, float(towards.max()))
+
+
+def _enu_from_flu(poses: Poses, vector_flu: FloatArray) -> FloatArray:
+    """Turns each agent's vectors, shape (n, 3) or (n, k, 3), from its tilted body frame into its level axes."""
+    rot = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+    rot = rot if vector_flu.ndim == 2 else rot[:, None]
+    return frames.enu_from_ned(frames.rotate(rot, vector_flu))
+
+
+def _flu_from_enu(poses: Poses, vector_enu: FloatArray) -> FloatArray:
+    """Turns each agent's vectors, shape (n, 3), from level axes into its tilted body frame."""
+    return frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), frames.ned_from_enu(vector_enu))

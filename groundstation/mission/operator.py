@@ -112,6 +112,7 @@ REFUSED: dict[Phase, dict[Order, str]] = {
     Phase.TAKEOFF: _FLYING,
     Phase.FORM: _FLYING,
     Phase.HOLD: _FLYING,
+    Phase.MOVE: _FLYING,
     Phase.STOP: _FLYING,
     Phase.RETURN: _FLYING,
     Phase.PAUSE: {Order.HOLD: "it is held already; `resume` goes on"},

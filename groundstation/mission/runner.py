@@ -122,9 +122,9 @@ class Runner:
         self._resume_to = Phase.CONNECT
         self._resume_phase_ns = start_ns
         self._lands_here = False
+        self._spoken_to = False  # after silence: the operator wants something of the vehicles again
         self._homing: BoolArray = np.zeros(n, dtype=np.bool_)
         self._home_since_ns = np.full(n, NEVER, dtype=np.int64)
-        self._spoken_to = False  # after silence: the operator wants something of the vehicles again
         self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
@@ -159,6 +159,10 @@ class Runner:
     def role_of_agent(self) -> IntArray:
         """Role per vehicle, shape (n,)."""
         return self._flight.role_of_agent
+
+    def formation_error_m(self, pos_m: FloatArray) -> float:
+        """Largest |d_ij - d*_ij| of the formation under way, of positions in any one frame, shape (n, 3)."""
+        return self._flight.error_m(pos_m)
 
     @property
     def setpoints_sent(self) -> int:
@@ -354,7 +358,7 @@ class Runner:
         near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
         if bool((near & ~self._climb.under_way).all()):
             if self._steady(now_ns):
-                self._enter(self._flight.next_step(now_ns), now_ns)
+                self._enter(self._flight.next_step(now_ns, poses), now_ns)
         else:
             self._steady_since_ns = NEVER
             if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
@@ -368,7 +372,7 @@ class Runner:
         return self._guide.to_targets(poses, self._flight.gather_ned_m).vel_ned_m_s
 
     def _formation(self, now_ns: int, poses: Poses) -> FloatArray:
-        tick = self._flight.step(now_ns, poses)
+        tick = self._flight.step(now_ns, poses, self._absent())
         if tick.give_up:
             self._give_up(tick.give_up, now_ns)
         elif tick.enter is not None:
@@ -423,9 +427,7 @@ class Runner:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
         targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
-        setpoints = self._guide.to_targets(poses, targets)
-        self._flight.count_gridlocks(setpoints.blocked, now_ns)
-        return setpoints.vel_ned_m_s
+        return self._flight.fly_home(poses, self._absent(), targets)
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
         if self._takeoff_ns == NEVER:
@@ -583,6 +585,10 @@ class Runner:
         return poses.pos_team_ned_m + stopping_s * poses.vel_ned_m_s
 
     # What the phases share
+
+    def _absent(self) -> BoolArray:
+        """Vehicles that do not follow setpoints at the moment, shape (n,)."""
+        return self._monitor.hold | self._monitor.blind | self._monitor.foreign | self._released | self._landing.asked
 
     def _watch(self, poses: Poses, now_ns: int) -> Poses:
         """Acts on what the monitors find in the air; returns the poses to steer by, with obstacles marked."""

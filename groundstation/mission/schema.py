@@ -58,10 +58,20 @@ class TakeoffSpec(_Strict):
 
 
 class FormStep(_Strict):
-    """Form until every distance is within tolerance."""
+    """Form until every distance is within tolerance; what is not given is as at the top of the mission."""
 
     tolerance_m: Positive = 0.05
     timeout_s: Positive = 60.0
+    formation: str | None = None
+    gains: str | None = None
+    formation_scale: Positive | None = None
+    scale: ScaleSpec | None = None
+    assignment: Literal["auto", "fixed"] | None = None
+
+    @property
+    def own_shape(self) -> bool:
+        """Whether it names points, size or gains of its own."""
+        return not (self.formation is None and self.gains is None and self.formation_scale is None)
 
 
 class HoldStep(_Strict):
@@ -70,11 +80,21 @@ class HoldStep(_Strict):
     seconds: Positive = 5.0
 
 
+class MoveStep(_Strict):
+    """Move, turn and scale the formation as one; without a duration as fast as half of the limits allow."""
+
+    by_m: Point = (0.0, 0.0, 0.0)
+    turn_deg: Annotated[Number, Field(ge=-3600, le=3600)] = 0.0
+    scale: Annotated[Number, Field(ge=0.1, le=10)] = 1.0
+    seconds: Positive | None = None
+
+
 class Step(_Strict):
     """One step: exactly one of its keys."""
 
     form: FormStep | None = None
     hold: HoldStep | None = None
+    move: MoveStep | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -199,6 +219,7 @@ class MissionSpec(_Strict):
     scale: ScaleSpec = ScaleSpec()
     avoidance: AvoidanceSpec
     assignment: Literal["auto", "fixed"] = "auto"
+    role_swaps: Literal["auto"] | bool = "auto"
     min_altitude_m: NotNegative | None = None
     takeoff: TakeoffSpec = TakeoffSpec()
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from groundstation.core import avoidance, control, damper, frames, limits, metrics, regions
+from groundstation.core import avoidance, control, damper, frames, gridlock, limits, metrics, places, regions
 from groundstation.core.assignment import assign_roles
 from groundstation.core.formation import Formation, Gains
-from groundstation.core.types import FloatArray, IntArray
-from groundstation.core.views import local_views
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.core.views import LocalViews, local_views
 
 GRAVITY_M_S2 = 9.81
 
@@ -99,6 +99,8 @@ class Chain:
     scale: control.ScaleFunction = field(default_factory=control.ScaleFunction)
     rotate: bool = True
     damper: damper.DamperParams | None = None
+    swaps: bool = False
+    detours: bool = False
     tolerance_m: float = 0.05
     shape: str = "sphere"
     half_height_m: float = 0.45
@@ -126,6 +128,9 @@ class Flight:
     blocked_ticks: int
     infeasible_ticks: int
     min_clearance: float
+    gridlocks: int = 0
+    swaps: tuple[tuple[float, int, int], ...] = ()
+    detours: int = 0
 
 
 def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.DamperParams:
@@ -143,6 +148,63 @@ def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.Damper
 
 def with_damper(profile: Profile, chain: Chain, margin_m: float) -> Chain:
     return dataclasses.replace(chain, damper=damper_for(profile, chain, margin_m))
+
+
+class WayOut:
+    """Gridlocks resolved as `mission.formation_flight` does it."""
+
+    def __init__(self, chain: Chain, profile: Profile) -> None:
+        margin_m = 0.0 if chain.damper is None else chain.damper.margin_m
+        params = gridlock.GridlockParams(
+            chain.speed_m_s, chain.radius_m + margin_m, chain.tick_s, profile.tau_s + profile.delay_s
+        )
+        self.locks = gridlock.Gridlocks(chain.formation.size, params)
+        self.count, self.sent = 0, 0
+        self.swaps: list[tuple[float, int, int]] = []
+        self._chain = chain
+
+    def wish(self, views: LocalViews, quat: FloatArray, wish_flu_m_s: FloatArray) -> FloatArray:
+        rot = frames.rot_ned_from_flu(quat)
+        detour = self.locks.wishes(frames.enu_from_ned(frames.rotate(rot, views.vel_flu_m_s)))
+        turned = frames.rotate_back(rot, frames.ned_from_enu(detour))
+        return np.where(np.isfinite(turned), turned, wish_flu_m_s)
+
+    def roles(
+        self,
+        *,
+        now_s: float,
+        views: LocalViews,
+        quat: FloatArray,
+        wish_flu_m_s: FloatArray,
+        in_the_way: BoolArray,
+        roles: IntArray,
+    ) -> IntArray:
+        """The roles from now on."""
+        rot, n = frames.rot_ned_from_flu(quat), len(roles)
+        sensed = gridlock.Sensed(
+            rel_m=frames.enu_from_ned(frames.rotate(rot[:, None], views.rel_pos_flu_m)),
+            visible=views.visible,
+            vel_m_s=frames.enu_from_ned(frames.rotate(rot, views.vel_flu_m_s)),
+            wish_m_s=frames.enu_from_ned(frames.rotate(rot, wish_flu_m_s)),
+            in_the_way=in_the_way,
+            low_m=np.full((n, 3), -10.0),
+            high_m=np.full((n, 3), 10.0),
+        )
+        nobody = np.zeros(n, dtype=np.bool_)
+        self.locks.sense(sensed, nobody)
+        self.count += int(self.locks.begun.sum())
+        if not self.locks.locked.any():
+            return roles
+        own = places.own_places(sensed.rel_m, sensed.visible, self._chain.formation.points_enu_m[roles])
+        pairs = self.locks.swaps(sensed, own, ~nobody) if self._chain.swaps else []
+        roles = roles.copy()
+        for i, j in pairs:
+            roles[[i, j]] = roles[[j, i]]
+            self.swaps.append((now_s, i, j))
+        if self._chain.detours and not pairs:
+            sent = self.locks.begin_detours(sensed, own.to_own_m, nobody, self.locks.params.detour_s)
+            self.sent += len(sent)
+        return roles
 
 
 def fly(
@@ -185,6 +247,7 @@ def fly(
     seen_pos, seen_vel, last_out = pos.copy(), vel.copy(), np.zeros((n, 3))
     clearance = np.inf
     smallest, formed_s, blocked, infeasible, error = np.inf, np.nan, 0, 0, np.inf
+    way_out = WayOut(chain, profile) if chain.swaps or chain.detours else None
     for tick in range(round(seconds / chain.tick_s)):
         if profile.bias_m:  # wanders on
             keep = np.exp(-chain.tick_s / profile.bias_tau_s)
@@ -206,12 +269,30 @@ def fly(
             views, task, chain.scale, chain.control_gain, lead_s=chain.lead_s, upright_1_s=chain.upright_1_s
         )
         want = control.saturate(want, chain.speed_m_s)
+        if way_out is not None:
+            want = way_out.wish(views, quat, want)
+        wish, in_the_way = want, np.zeros((n, n), dtype=np.bool_)
         if chain.rotate:
             avoided = avoidance.avoid(views, want, region)
             want, blocked = avoided.vel_flu_m_s, blocked + int(avoided.blocked.sum())
+            in_the_way = in_the_way | avoided.in_the_way
         if chain.damper is not None:
             damped = damper.damp(views, want, chain.damper)
             want, infeasible = damped.vel_flu_m_s, infeasible + int(damped.infeasible.sum())
+            in_the_way = in_the_way | damped.in_the_way
+        if way_out is not None:
+            given = way_out.roles(
+                now_s=tick * chain.tick_s,
+                views=views,
+                quat=quat,
+                wish_flu_m_s=wish,
+                in_the_way=in_the_way,
+                roles=roles,
+            )
+            if not np.array_equal(given, roles):
+                roles = given
+                task = control.task_for_roles(chain.formation, chain.gains, roles)
+                wanted = chain.formation.distances_m[np.ix_(roles, roles)]
         out = frames.rotate(frames.rot_ned_from_flu(quat), want)
         if output_turn_rad:
             out = turns.apply(out)
@@ -251,7 +332,7 @@ def fly(
             formed_s = now
         elif stop_when_formed and now - formed_s >= 1.0:
             break
-    return Flight(
+    flight = Flight(
         formed_s,
         smallest,
         error,
@@ -261,3 +342,6 @@ def fly(
         infeasible,
         clearance if chain.shape != "sphere" else smallest / chain.radius_m,
     )
+    if way_out is None:
+        return flight
+    return dataclasses.replace(flight, gridlocks=way_out.count, swaps=tuple(way_out.swaps), detours=way_out.sent)

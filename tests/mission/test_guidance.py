@@ -9,7 +9,7 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.control import task_for_roles
-from groundstation.mission.guidance import Guide, Poses
+from groundstation.mission.guidance import Course, Guide, Poses
 from groundstation.mission.plan import load_mission
 
 PLAN = load_mission(packaged_configs() / "missions" / "cube8.yaml")
@@ -91,12 +91,13 @@ def test_large_teams_are_guided_as_small_ones_are(monkeypatch: pytest.MonkeyPatc
         )
         # In a small team the law, too, takes those that sink where the avoidance takes them; in a large one it does not.
         calm = dataclasses.replace(poses, sinking=np.zeros(8, dtype=np.bool_))
+        course = Course(plan.stages[0], plan.control_gain, plan.formation.points_enu_m)
         told = []
         for many in (64, 2):
             monkeypatch.setattr("groundstation.mission.guidance._MANY", many)
             guide = Guide(plan)
             for _ in range(10):
-                formed = guide.formation(calm, task, plan.control_gain)
+                formed = guide.formation(calm, task, course)
             told.append((formed, guide.to_targets(poses, np.zeros((8, 3)))))
         for by_pairs, by_search in zip(*told, strict=True):
             np.testing.assert_allclose(by_search.vel_ned_m_s, by_pairs.vel_ned_m_s, atol=1e-5)
