@@ -52,6 +52,7 @@ class Scene:
         self.age_ns = np.zeros(n, dtype=np.int64)
         self.silent_since_ns = np.full(n, NEVER)
         self.excused = np.zeros(n, dtype=np.bool_)
+        self.frozen = np.zeros(n, dtype=np.bool_)
         self.going_on = False
         self.monitor.begin(self.fleet)
         self.found = Findings()
@@ -61,6 +62,9 @@ class Scene:
         self.now_ns += tick_ns
         heard = np.where(self.silent_since_ns != NEVER, self.silent_since_ns, self.now_ns)
         self.fleet.heard_ns[:] = heard
+        self.fleet.pose_ns[:] = self.now_ns - self.age_ns
+        # Estimates always stir a little, in the last bits.
+        self.fleet.pos_local_ned_m[:] = self.pos + 1e-6 * np.where(self.frozen, 0, self.now_ns // TICK_NS % 7)[:, None]
         self.fleet.heartbeat_ns[:] = np.minimum(heard, np.where(self.fleet.heartbeat_ns < 0, self.now_ns, heard))
         pose_ns = self.now_ns - self.age_ns
         poses = self.monitor.trusted(
@@ -219,6 +223,21 @@ def test_a_velocity_that_changes_unseen_in_a_gap_is_no_jump() -> None:
             watch.take(Poses(pos, vel, quat, nobody), pose_ns, now_ns + TICK_NS)
             assert not watch.suspect.any()
             break
+
+
+def test_a_position_that_does_not_stir_by_a_bit_is_frozen_and_one_that_is_only_rare_is_not() -> None:
+    scene = Scene()
+    scene.frozen[2] = True
+    assert scene.run(1.5) == []
+    (found,) = scene.run(0.4)
+    assert found.abort == (
+        "vehicle 3: its position has not changed by a bit in 1.5 s; it lands where it is when nobody is below, the"
+        " others come back"
+    )
+    rare = Scene("limits.pose_age_s=5", "limits.pose_lost_s=9")
+    rare.run(0.1)
+    rare.frozen[4] = True
+    assert rare.run(4.0, lambda: rare.age_ns.__setitem__(4, rare.age_ns[4] + TICK_NS)) == []
 
 
 def test_a_link_that_is_silent_altogether_is_told_once_and_all_on_it_land() -> None:

@@ -20,6 +20,7 @@ from groundstation.mission.plan import MissionPlan
 _FORGETS_S = 3.0
 _SUSPECT_S = 0.3
 _TILTED_S = 0.3
+_FROZEN_S, _FROZEN_REPORTS = 1.5, 5
 _GAP_S, _GAP_MAX_S = 0.15, 5.0
 _REACH_S = 0.5  # no longer than this is a trusted position carried on by its velocity
 _LINK_SHARE = 0.8  # of pose_lost_s: a link that is silent is told before its vehicles are, one by one
@@ -128,6 +129,29 @@ class PoseAge:
         lost = (age_ns > self._limits.pose_lost_s * SECOND_NS) & ours & ~sight.excused
         for vehicle in self._lost(lost, sight.now_ns):
             yield Finding(Reaction.LAND, f"no position for {self._limits.pose_lost_s:g} s", (vehicle,), lost=True)
+
+
+class Frozen:
+    """Positions that arrive and never change by a bit, as no estimate of a flying vehicle does."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        n = plan.size
+        self._local: BoolArray = np.array([vehicle.position == "local" for vehicle in plan.spec.vehicles])
+        self._pos: FloatArray = np.full((n, 3), np.nan)
+        self._pose_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._reports: IntArray = np.zeros(n, dtype=np.int64)
+        self._lasting = Lasting(n, _FROZEN_S)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Lands those whose position stands still to the last bit."""
+        fleet = sight.fleet
+        same = (fleet.pos_local_ned_m == self._pos).all(axis=1)
+        self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
+        self._pos, self._pose_ns = fleet.pos_local_ned_m.copy(), fleet.pose_ns.copy()
+        frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours & ~sight.excused
+        for vehicle in self._lasting(frozen, sight.now_ns):
+            what = f"its position has not changed by a bit in {_FROZEN_S:g} s"
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 
 
 class Frames:
