@@ -68,7 +68,7 @@ def _fly(
         ("position_jump", "form", "px4", {"east_m": 2.0}, "vehicle 4: its position is 2.0"),
         ("position_frozen", "return", "arducopter", {}, ""),
         ("position_nan", "takeoff", "px4", {}, "vehicle 4: no position for 1 s; it lands where it is"),
-        ("position_drift", "hold", "arducopter", {"east_m_s": 0.3}, "from where its velocity leads, limit 0.54 m"),
+        ("position_drift", "hold", "arducopter", {"east_m_s": 0.3}, "from where its velocity leads, limit 0.37 m"),
         ("motor_failure", "form", "px4", {}, "vehicle 4: is tilted by "),
         ("reboot", "return", "px4", {}, "vehicle 4: "),
         ("battery_level", "hold", "arducopter", {"percent": 15.0}, "vehicle 4: battery at 15%, minimum is 20%"),

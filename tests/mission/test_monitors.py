@@ -182,7 +182,7 @@ def test_a_jump_that_stays_is_an_unknown_position_and_the_others_keep_clear_of_w
     (found,) = scene.run(0.5)
     assert found.land == [4]
     assert found.abort is not None
-    assert found.abort.startswith("vehicle 5: its position is 0.80 m from where its velocity leads, limit 0.54 m; it")
+    assert found.abort.startswith("vehicle 5: its position is 0.80 m from where its velocity leads, limit 0.37 m; it")
     np.testing.assert_allclose(scene.poses.pos_team_ned_m[4], was)
     assert scene.monitor.hold[4]
     first_m = scene.obstacle_m()[4]
