@@ -43,6 +43,7 @@ NAMES = {
 _NEED_POSITION = {AUTO, GUIDED, LOITER, RTL, CIRCLE, POSHOLD, BRAKE, SMART_RTL}
 _NOT_ARMABLE = {RTL, LAND, BRAKE, SMART_RTL, CIRCLE, AUTO}
 _GUIDED_FLAG = _NEED_POSITION
+_STATION_LOST = {5: LAND, 7: BRAKE}  # FS_GCS_ENABLE; the others return, some by the way they came
 
 CRITICAL, WARNING, INFO = 2, 4, 6
 _SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x10000 | 0x200000
@@ -85,6 +86,7 @@ class ArduCopter(Autopilot):
         self.taking_off_to: float | None = None
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._rtl_stage = 0
+        self._above_home_ns = 0
         self._braked = False
         self._entered: int | None = None
         self._origin_told = False
@@ -371,9 +373,10 @@ class ArduCopter(Autopilot):
         heard = self.gcs_heard_ns
         if self.params["FS_GCS_ENABLE"] and heard is not None and not self.landed:
             lost = now_ns - heard > self.params["FS_GCS_TIMEOUT"] * SECOND
-            if lost and self.mode not in (RTL, LAND):
-                self.text(WARNING, "GCS Failsafe - RTL")
-                self._change_mode(RTL)
+            if lost and self.mode not in (RTL, LAND, BRAKE):
+                mode = _STATION_LOST.get(whole(self.params["FS_GCS_ENABLE"]), RTL)
+                self.text(WARNING, f"GCS Failsafe - {NAMES[mode]}")
+                self._change_mode(mode)
         if not self.position_good and self.mode in _NEED_POSITION and not self.landed:
             self.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
             self._change_mode(LAND)
@@ -444,12 +447,15 @@ class ArduCopter(Autopilot):
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
-            top = max(z, home[2] + self.params["RTL_ALT"] / 100.0) if far > 1.0 else z
+            climbs = far > 1.0 or self.params["RTL_CONE_SLOPE"] == 0.0
+            top = max(z, home[2] + self.params["RTL_ALT"] / 100.0) if climbs else z
             self._hold = (x, y, top)
             self.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage, self._hold = 1, (home[0], home[1], self._hold[2])
         if self._rtl_stage == 1 and far < 0.5:
+            self._rtl_stage, self._above_home_ns = 3, self.world.now_ns
+        if self._rtl_stage == 3 and self.world.now_ns - self._above_home_ns >= self.params["RTL_LOIT_TIME"] * 1e6:
             self._rtl_stage, self._hold = 2, (home[0], home[1], z)
         if self._rtl_stage == 2:
             self._act_land(False)

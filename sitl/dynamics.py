@@ -24,6 +24,7 @@ GRAVITY_M_S2 = 9.80665
 _THRUST_MIN_G = 0.1  # props never stop in flight
 _CONTACT_M = 1e-9
 _YAW_EVERY = 5  # the yaw loop is slow: it runs every fifth step
+_PAD_REACH_M = 0.4  # a raised pad carries its vehicle that far from its middle
 
 
 class Dynamics:
@@ -37,6 +38,9 @@ class Dynamics:
         thrust_m_s2: thrust over mass, shape (n,).
         yaw_enu_rad, yaw_rate_rad_s: heading from east counter-clockwise, shape (n,).
         on_ground: whether the vehicle stands, shape (n,) bool.
+        ground_m: height of the ground beneath each vehicle: its pad's, everywhere, unless a floor was given; then pads
+            are posts on it, shape (n,).
+        posts_up: False draws in every post that nobody stands on.
         vel_sp_enu_m_s: commanded velocity, feed-forward where a position is held, shape (3, n).
         pos_sp_enu_m, pos_mask: commanded position (estimated frame) and which axes hold it, shape (3, n).
         speed_limit_m_s: limits of the position loop, rows: horizontal, up, down, shape (3, n).
@@ -57,6 +61,7 @@ class Dynamics:
         step_s: float,
         wind: Wind | None = None,
         downwash: Downwash | None = None,
+        floor_m: float | None = None,
     ) -> None:
         n = len(profiles)
         self.n, self.step_s, self.estimator = n, step_s, estimator
@@ -96,6 +101,8 @@ class Dynamics:
         self._k = 0
 
         self.ground_m = pos_enu_m[2].copy()
+        self._floor_m, self._pads_enu_m = floor_m, pos_enu_m.copy()
+        self.posts_up = True
         self.pos_enu_m = pos_enu_m.copy()
         self.vel_enu_m_s = np.zeros((3, n))
         self.acc_enu_m_s2 = np.zeros((3, n))
@@ -242,6 +249,16 @@ class Dynamics:
             self.up_enu[2][below] = 1.0
             self._integral *= keep
             self.crashed |= self.tumbling & below
+        if self._floor_m is not None:
+            self._find_ground()
+
+    def _find_ground(self) -> None:
+        """Pads on posts: each carries its own vehicle while that is above it; elsewhere there is the floor."""
+        away = self.pos_enu_m - self._pads_enu_m
+        carried = (away[2] >= -_CONTACT_M) & (away[0] * away[0] + away[1] * away[1] <= _PAD_REACH_M**2)
+        if not self.posts_up:
+            carried &= self.on_ground
+        self.ground_m = np.where(carried, self._pads_enu_m[2], self._floor_m)
 
     def _settle_on_ground(self) -> None:
         """Brings everything to rest while nobody flies; the steps that follow have nothing to do."""

@@ -30,7 +30,18 @@ SECOND = 1_000_000_000
 _NEVER = 1 << 62
 _TIME_MAX_S = 1e6
 _WHOLE_MAX = 1 << 62  # beyond this a whole number of a file is a mistake, and may not even fit a float
+_BYTES_MAX = 1 << 20
+_DEPTH_MAX = 100
 _short = reprlib.repr  # people write anything, of any length and depth
+
+
+class _ShallowLoader(yaml.SafeLoader):
+    """Safe loader that does not read what is nested deeply: its time grows with the cube of the depth."""
+
+    def fetch_flow_collection_start(self, TokenClass: Any) -> None:
+        if self.flow_level >= _DEPTH_MAX:
+            raise RecursionError
+        super().fetch_flow_collection_start(TokenClass)
 
 
 class FaultError(ValueError):
@@ -135,6 +146,8 @@ def parse_fault(data: Any) -> Fault:
     rest = {key: value for key, value in data.items() if key not in ("kind", "at_s", "for_s", "vehicles", "direction")}
     for name in ("at_s", "for_s", *rest):
         value = data.get(name)
+        if name in data and name != "for_s" and value is None:
+            raise FaultError(f"{_short(name)}: null is no number")
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise FaultError(f"{name}: {_short(value)} is no number")
         if isinstance(value, int) and abs(value) > _WHOLE_MAX:
@@ -165,13 +178,18 @@ def parse_faults(text: str, source: str = "faults") -> tuple[Fault, ...]:
         FaultError: naming the entry, the key, the value and the limit.
     """
     try:
-        data = yaml.safe_load(text)
+        # Aliases of aliases grow beyond all bounds when they are merged or told.
+        aliases = any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, Loader=_ShallowLoader))
+        data = None if aliases else yaml.load(text, Loader=_ShallowLoader)  # noqa: S506 - a SafeLoader
     except yaml.YAMLError as error:
         raise FaultError(f"{source}: is no YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
         raise FaultError(f"{source}: is nested too deeply; a list of mappings is needed") from error
-    except (OverflowError, ValueError) as error:  # numbers and dates that YAML knows and Python cannot hold
+    except (OverflowError, ValueError, TypeError, AttributeError, LookupError) as error:
+        # numbers and dates that YAML knows and Python cannot hold; and PyYAML's own mistakes
         raise FaultError(f"{source}: holds a value that cannot be read: {error}") from error
+    if aliases:
+        raise FaultError(f"{source}: aliases (*name) are not taken; write the values out")
     if isinstance(data, Mapping):
         unknown = set(data) - {"faults"}
         if unknown:
@@ -197,7 +215,11 @@ def load_faults(path: Path) -> tuple[Fault, ...]:
         FaultError: it cannot be read, or is wrong.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(_BYTES_MAX + 1)
+        if len(content) > _BYTES_MAX:
+            raise FaultError(f"{path}: is longer than {_BYTES_MAX} bytes")
+        text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise FaultError(f"{path}: cannot be read: {error}") from error
     return parse_faults(text, str(path))

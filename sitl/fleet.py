@@ -38,6 +38,7 @@ def fleet(
     streams: str | None = None,
     mavlink_version: int = 2,
     gps: bool = True,
+    signing_key: bytes | None = None,
 ) -> list[VehicleConfig]:
     """Makes n vehicles with system ids 1 to n.
 
@@ -50,6 +51,7 @@ def fleet(
         streams: what is sent unasked; None takes the autopilot's own.
         mavlink_version: 1, 2, or 0 for 1 until the ground station speaks 2.
         gps: whether they have GPS receivers.
+        signing_key: key that they sign with, and want others to sign with.
 
     Raises:
         ValueError: n is out of range.
@@ -67,6 +69,7 @@ def fleet(
             streams=streams or ("onboard" if autopilot == "px4" else "ardupilot"),
             mavlink_version=mavlink_version,
             gps=gps,
+            signing_key=signing_key,
         )
         for k, pad in enumerate(grid_pads(n, spacing_m))
     ]

@@ -105,5 +105,6 @@ def _families() -> dict[str, Value]:
 
 ARDUCOPTER: dict[str, Value] = {
     **{name: _by_size(*value) for name, value in read_table(_TABLE).items()},
+    "RTL_LOIT_TIME": (5000, INT32),  # up to 60000 ms
     **_families(),
 }

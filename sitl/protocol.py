@@ -38,7 +38,7 @@ MSG_SET_GPS_GLOBAL_ORIGIN, MSG_REQUEST_DATA_STREAM = 48, 66
 MSG_COMMAND_INT, MSG_COMMAND_LONG, MSG_COMMAND_CANCEL = 75, 76, 80
 MSG_SET_POSITION_TARGET_LOCAL_NED, MSG_SET_POSITION_TARGET_GLOBAL_INT = 84, 86
 MSG_VISION_POSITION_ESTIMATE, MSG_VICON_POSITION_ESTIMATE, MSG_TIMESYNC = 102, 104, 111
-MSG_ATT_POS_MOCAP, MSG_ODOMETRY = 138, 331
+MSG_ATT_POS_MOCAP, MSG_SETUP_SIGNING, MSG_ODOMETRY = 138, 256, 331
 
 
 class Protocol:
@@ -74,6 +74,7 @@ class Protocol:
             MSG_HEARTBEAT: self._on_heartbeat,
             MSG_PING: self._on_ping,
             MSG_TIMESYNC: self._on_timesync,
+            MSG_SETUP_SIGNING: self._on_setup_signing,
             MSG_COMMAND_LONG: self._on_command_long,
             MSG_COMMAND_INT: self._on_command_int,
             MSG_PARAM_REQUEST_LIST: self._on_param_list,
@@ -167,6 +168,12 @@ class Protocol:
     def _on_timesync(self, fields: Fields, _frame: Frame) -> None:
         if fields["tc1"] == 0:
             self.send("TIMESYNC", tc1=self.world.vehicle_time_of(self.index), ts1=fields["ts1"])
+
+    def _on_setup_signing(self, fields: Fields, _frame: Frame) -> None:
+        """Takes a key, or gives its own up for one of zeros; not while armed, as ArduPilot."""
+        if not self.world.autopilots[self.index].armed:
+            key = bytes(fields["secret_key"])
+            self.world.signing[self.index].set_key(key if any(key) else None)
 
     # -- commands -----------------------------------------------------------------------------------------------
 

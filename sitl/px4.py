@@ -39,6 +39,8 @@ _MODES = {
 }  # fmt: skip
 _NAMES = {OFFBOARD: "Offboard", MISSION: "Mission"}
 _PREVENT_ARMING = (LAND, RTL)
+_OFFBOARD_LOST = {3: RTL, 4: LAND, 5: LOITER}  # COM_OBL_RC_ACT; others fly by sticks that are not there
+_MOTORS_OFF = (6, 7)
 _NEED_POSITION = {POSCTL, OFFBOARD, TAKEOFF, LOITER, MISSION, RTL, LAND}
 
 CRITICAL, INFO = 2, 6
@@ -82,6 +84,8 @@ class Px4(Autopilot):
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._takeoff_to: tuple[float, float, float] | None = None
         self._rtl_stage = 0
+        self._above_home_ns = 0
+        self._until_setpoints = False
         self._battery_told = 0
         self._ticks = 0
         self.messages.update(
@@ -373,14 +377,18 @@ class Px4(Autopilot):
             return
         alive = self.setpoint_alive()
         if self.failsafe is None and not alive:
-            self._fail_to(POSCTL)
-        elif self.failsafe == POSCTL and alive:
+            action = whole(self.params["COM_OBL_RC_ACT"])
+            self._fail_to(_OFFBOARD_LOST.get(action, POSCTL), until_setpoints=True)
+            if action in _MOTORS_OFF:
+                self.disarm()
+        elif self.failsafe is not None and self._until_setpoints and alive:
             self.failsafe = None
             self._entered = None
 
-    def _fail_to(self, mode: Mode) -> None:
-        """Lets a failsafe take over."""
+    def _fail_to(self, mode: Mode, *, until_setpoints: bool = False) -> None:
+        """Lets a failsafe take over; the one for lost setpoints ends when they come back."""
         self.failsafe = mode
+        self._until_setpoints = until_setpoints
         self._entered = None
         self.text(CRITICAL, "Failsafe activated\t")
 
@@ -405,10 +413,15 @@ class Px4(Autopilot):
         """Any ground station's heartbeat counts; NAV_DLL_ACT is off by default."""
         action, heard = whole(self.params["NAV_DLL_ACT"]), self.gcs_heard_ns
         mode = {1: LOITER, 2: RTL, 3: LAND}.get(action)
-        if mode is None or heard is None or self.landed or self.failsafe is not None or self.mode == mode:
+        if mode is None or heard is None or self.landed or self.mode in (mode, *_PREVENT_ARMING):
             return
-        if now_ns - heard > self.params["COM_DL_LOSS_T"] * SECOND:
+        late_ns = now_ns - heard - self.params["COM_DL_LOSS_T"] * SECOND
+        if late_ns <= 0:
+            return
+        if late_ns > self.params["COM_FAIL_ACT_T"] * SECOND or mode == LOITER:
             self._fail_to(mode)
+        elif self.failsafe is None:
+            self._fail_to(LOITER)  # so that a pilot may still take over
 
     def _check_sticks(self) -> None:
         """There are none: OFFBOARD goes on only while COM_RCL_EXCEPT excepts it."""
@@ -480,21 +493,45 @@ class Px4(Autopilot):
         speed = min(slow + share * (fast - slow), self.world.profile_of(self.index).speed_down_max_m_s)
         self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
+    def _rtl_top(self, z: float, home_z: float, far: float) -> float:
+        """Height of the way back: a cone around home where RTL_CONE_ANG says so, never below the present height."""
+        params = self.params
+        highest = home_z + params["RTL_RETURN_ALT"]
+        cone_deg = params["RTL_CONE_ANG"]
+        if cone_deg <= 0:
+            return max(z, highest)
+        near = params["NAV_ACC_RAD"]
+        if far <= near:
+            wanted = home_z + 2.0 * far
+        else:
+            wanted = highest
+            if far <= params["RTL_MIN_DIST"]:
+                wanted = min(home_z + far / math.tan(math.radians(min(max(cone_deg, 1.0), 89.0))), highest)
+            wanted = max(wanted, home_z + 2.0 * near)
+        return z if wanted < z else min(wanted, highest)
+
     def _act_rtl(self, entering: bool) -> None:
         x, y, z = self.pos_est()
         home = self.world.home_enu_m[:, self.index].tolist()
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
-            top = max(z, home[2] + self.params["RTL_RETURN_ALT"]) if far > 5.0 else z
-            self._hold = (x, y, top)
+            self._hold = (x, y, self._rtl_top(z, home[2], far))
             self.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage = 1
             self._hold = (home[0], home[1], self._hold[2])
         if self._rtl_stage == 1 and far < 0.5:
-            self._rtl_stage = 2
-            self._hold = (home[0], home[1], z)
+            waits = self.params["RTL_LAND_DELAY"] != 0.0
+            self._rtl_stage = 3 if waits else 2
+            self._above_home_ns = self.world.now_ns
+            self._hold = (home[0], home[1], min(z, home[2] + self.params["RTL_DESCEND_ALT"]) if waits else z)
+        if self._rtl_stage == 3:
+            delay_s = self.params["RTL_LAND_DELAY"]
+            if abs(z - self._hold[2]) > 0.8:  # NAV_MC_ALT_RAD; the wait begins at RTL_DESCEND_ALT
+                self._above_home_ns = self.world.now_ns
+            elif 0.0 <= delay_s <= (self.world.now_ns - self._above_home_ns) / SECOND:
+                self._rtl_stage, self._hold = 2, (home[0], home[1], z)
         if self._rtl_stage == 2:
             self._act_land(False)
         else:

@@ -27,6 +27,7 @@ _PEER_SILENCE_NS = 30 * SECOND
 _LAG_MAX_NS = SECOND // 2
 _READ_BYTES = 65535
 _BACKLOG_BYTES = 1 << 20
+_PEERS_MAX = 64
 
 Address = tuple[str, int]
 
@@ -205,7 +206,11 @@ class Server:
             except OSError:
                 continue  # an earlier datagram was refused: nobody listens there now
             now_ns = self._clock() + self._offset_ns
-            self._peers[vehicle][address] = now_ns
+            peers = self._peers[vehicle]
+            peers.pop(address, None)
+            if len(peers) >= _PEERS_MAX:
+                del peers[next(iter(peers))]  # the one that was silent for longest
+            peers[address] = now_ns
             self.datagrams_in += 1
             self.world.receive(vehicle, data, max(now_ns, self.world.now_ns), f"{address[0]}:{address[1]}")
 

@@ -64,7 +64,15 @@ RADIO_RATES_HZ: dict[str, float] = {
 """PX4 behind a telemetry radio: LOCAL_POSITION_NED at 1 Hz as seen, the others believable."""
 ARDUPILOT_RATES_HZ: dict[str, float] = {"HEARTBEAT": 1.0, "TIMESYNC": 0.1}
 """ArduCopter sends nothing else unasked (STATUSTEXT aside)."""
-RATES_HZ = {"onboard": ONBOARD_RATES_HZ, "gcs": GCS_RATES_HZ, "radio": RADIO_RATES_HZ, "ardupilot": ARDUPILOT_RATES_HZ}
+QUIET_RATES_HZ: dict[str, float] = {"HEARTBEAT": 1.0}
+"""Nothing that nobody has asked for: for many runs at once."""
+RATES_HZ = {
+    "onboard": ONBOARD_RATES_HZ,
+    "gcs": GCS_RATES_HZ,
+    "radio": RADIO_RATES_HZ,
+    "ardupilot": ARDUPILOT_RATES_HZ,
+    "quiet": QUIET_RATES_HZ,
+}
 
 
 class View:

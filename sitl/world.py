@@ -10,13 +10,13 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.mavlink.codec import Frame, FrameSplitter, encode_batch, message_id
+from groundstation.mavlink.codec import Frame, Splitters, encode_batch, message_id
 from sitl import frames, messages_ardupilot
 from sitl.ardupilot import ArduCopter
 from sitl.autopilot import Autopilot, Boot
@@ -30,6 +30,7 @@ from sitl.network import PERFECT, Channel, LinkConfig
 from sitl.profiles import PROFILES, Profile
 from sitl.protocol import V1_LAST_ID
 from sitl.px4 import Px4
+from sitl.signing import VehicleSigning
 from sitl.telemetry import Streams, View
 
 SECOND = 1_000_000_000
@@ -58,9 +59,11 @@ class VehicleConfig:
         pad_enu_m: where it stands, in the world's frame.
         yaw_enu_rad: heading from east counter-clockwise.
         noise: errors of its estimate.
-        streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links) or "ardupilot".
+        streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links), "ardupilot" or "quiet".
         mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
         gps: whether it has a GPS receiver.
+        signing_key: 32 bytes with which it signs, and without which nobody is obeyed; None for neither.
+        params: names and values of parameters that differ from the firmware's defaults.
     """
 
     sysid: int
@@ -72,6 +75,8 @@ class VehicleConfig:
     streams: str = "onboard"
     mavlink_version: int = 2
     gps: bool = True
+    signing_key: bytes | None = field(default=None, repr=False)
+    params: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,8 @@ class WorldConfig:
         unix_start_us: date at power-up.
         real_boot: start-up takes as long as the real one.
         wind, downwash: options of the air.
+        floor_m: height of the ground beside the pads, which stand on posts then; None: it is everywhere as high as
+            each vehicle's pad.
         faults: what goes wrong when; more can be injected at run time.
     """
 
@@ -111,6 +118,7 @@ class WorldConfig:
     real_boot: bool = False
     wind: WindConfig | None = None
     downwash: bool = False
+    floor_m: float | None = None
     faults: tuple[Fault, ...] = ()
 
 
@@ -136,13 +144,15 @@ class Truth:
         return self.quat_ned_from_frd
 
 
-@dataclass(order=True)
-class _Arrival:
+class _Arrival(NamedTuple):
+    """Something under way; ``order`` is never twice the same, so that what follows it is never compared."""
+
     t_ns: int
     order: int
-    vehicle: int = field(compare=False)
-    peer: str = field(compare=False)
-    data: bytes = field(compare=False)
+    vehicle: int
+    peer: str
+    data: bytes
+    stream: bool = False
 
 
 class World:
@@ -161,6 +171,7 @@ class World:
         talking: has sent its first bytes, shape (n,).
         frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
         motor_share: thrust that the motors can give (faults), 1 when sound, shape (n,).
+        signing: signatures of each vehicle.
         frame_errors: frames of each vehicle whose handling failed; they are dropped and end nothing.
     """
 
@@ -185,6 +196,7 @@ class World:
             step_s=step_s,
             wind=self._wind(rng_wind, step_s),
             downwash=self._downwash(),
+            floor_m=config.floor_m,
         )
         self.geodesy = Geodesy(config.home_lat_deg, config.home_lon_deg, config.home_alt_m)
         self.streams = Streams(tuple(MAKERS), n, config.start_ns)
@@ -207,7 +219,10 @@ class World:
         self._order = 0
         self._sent: list[Outgoing] = []
         self._pending: dict[int, list[bytes]] = {}
-        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
+        self.signing = [
+            VehicleSigning(vehicle.signing_key, self.unix_us() if vehicle.gps else 0) for vehicle in config.vehicles
+        ]
         self._view: View | None = None
         self._next_tick_ns = self.now_ns
         self._rng_boot = rng_boot
@@ -216,7 +231,7 @@ class World:
         self._faults = FaultDesk(self, config.faults)
         self._pairs = np.triu_indices(n, 1)
         self._history: list[tuple[Array, NDArray[np.bool_]]] = []
-        self._min_distance_m = math.inf
+        self._nearest_squared = np.full(len(self._pairs[0]), math.inf)
 
     # -- interface ----------------------------------------------------------------------------------------------
 
@@ -232,12 +247,9 @@ class World:
             ground_station: any name that tells senders apart.
             stream: the sender's frames may come in pieces (TCP).
         """
-        key = (vehicle_index, ground_station)
-        if key not in self._splitters:
-            self._splitters[key] = FrameSplitter(datagrams=not stream)
         for t_ns, arrived in self._uplinks[vehicle_index].carry(now_ns, data):
             self._order += 1
-            heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived))
+            heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived, stream))
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """Moves the world to a time, in whole physics steps.
@@ -269,12 +281,19 @@ class World:
     def min_distance_airborne_m(self) -> float:
         """Smallest distance of two vehicles that were both off the ground; infinite before there were two."""
         self._measure_distances()
-        return self._min_distance_m
+        return math.sqrt(float(self._nearest_squared.min(initial=math.inf)))
+
+    def min_distance_airborne_of_pairs_m(self) -> Array:
+        """The same for each pair, symmetric, infinite on the diagonal, shape (n, n)."""
+        self._measure_distances()
+        distances = np.full((self.n, self.n), math.inf)
+        distances[self._pairs] = distances.T[self._pairs] = np.sqrt(self._nearest_squared)
+        return distances
 
     def reset_min_distance(self) -> None:
-        """Forgets the smallest distance."""
+        """Forgets the smallest distances."""
         self._history.clear()
-        self._min_distance_m = math.inf
+        self._nearest_squared[:] = math.inf
 
     def inject(self, *faults: Fault) -> None:
         """Lets something go wrong now, for as long as the faults say; their ``at_s`` does not count.
@@ -372,10 +391,12 @@ class World:
             self._sent.append(Outgoing(late.t_ns, late.vehicle, late.data))
 
     def _hand_over(self, arrival: _Arrival) -> None:
-        pieces = self._splitters[arrival.vehicle, arrival.peer].feed(arrival.data)
+        pieces = self._splitters.feed((arrival.vehicle, arrival.peer), arrival.data, stream=arrival.stream)
         for piece in pieces:
             pilot = self.autopilots[arrival.vehicle]  # a reboot in between makes a new one
             if isinstance(piece, Frame) and pilot.powered and self.talking[arrival.vehicle]:
+                if not self.signing[arrival.vehicle].accepts(piece):
+                    continue
                 try:
                     pilot.receive(piece)
                 except Exception:  # whatever one sender's frame does, the other vehicles fly on
@@ -413,6 +434,11 @@ class World:
             return
         pending, self._pending = self._pending, {}
         for index in sorted(pending):
+            signing = self.signing[index]
+            if signing.on:
+                if self.has_gps[index]:
+                    signing.date(self.unix_us())
+                pending[index] = [signing.sign(frame) for frame in pending[index]]
             for data in _datagrams(pending[index]):
                 channel = self._downlinks[index]
                 if channel.config is PERFECT:
@@ -432,15 +458,20 @@ class World:
         both = air[:, first] & air[:, second]
         if both.any():
             delta = pos[:, :, first] - pos[:, :, second]
-            squared = (delta * delta).sum(axis=1)
-            self._min_distance_m = min(self._min_distance_m, math.sqrt(float(squared[both].min())))
+            squared = np.where(both, (delta * delta).sum(axis=1), math.inf)
+            np.minimum(self._nearest_squared, squared.min(axis=0), out=self._nearest_squared)
 
     # -- making of ----------------------------------------------------------------------------------------------
 
     def _power_up(self, index: int) -> Autopilot:
         config = self.config.vehicles[index]
         kind = PERSONALITIES[config.autopilot]
-        return kind(self, index, config, self._boot_of(config.autopilot))
+        pilot = kind(self, index, config, self._boot_of(config.autopilot))
+        for name, value in config.params:
+            if name not in pilot.params:
+                raise ValueError(f"emulated vehicle {index + 1}: it has no parameter {name}")
+            pilot.params.set_value(name, value)
+        return pilot
 
     def _boot_of(self, autopilot: str) -> Boot:
         """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""

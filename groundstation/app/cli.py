@@ -12,19 +12,23 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from groundstation.app.output import Output
+from groundstation.app.output import Output, SteadyConsole, flush_streams
 from groundstation.core.errors import UserError
 from groundstation.records.manifest import versions
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
+    "command": ("command", "Give an order to a flight in another terminal: hold, return, land, kill."),
     "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),
     "check": ("fly", "Check a mission and its vehicles on their pads; arm nothing."),
+    "signing": ("signing", "Make a key that MAVLink frames are signed with, give it to vehicles."),
     "design": ("design", "Design the gains of a formation."),
     "sitl": ("sitl", "Run emulated vehicles for any ground station."),
     "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),
     "report": ("report", "Draw the pictures of a log."),
     "import": ("import_", "Turn another program's recorded flight into a log."),
+    "campaign": ("campaign", "Fly a mission many times over random starts and faults, and sum up."),
+    "identify": ("identify", "Find lag and delay of each vehicle's velocity loop in a log."),
     "bench": ("bench", "Measure speed, as ratios in one run."),
 }
 """Command name: module in ``groundstation.app.commands``, help for the overview."""
@@ -69,7 +73,9 @@ def main() -> None:
     try:
         build(called)(args=arguments, prog_name="gs")
     except UserError as error:
-        Console(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))
+        SteadyConsole(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))
         if "--json" in arguments and not error.answered:
             Output(as_json=True).result({"error": str(error), "exit_code": error.exit_code})
         sys.exit(error.exit_code)
+    finally:
+        flush_streams()

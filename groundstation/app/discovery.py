@@ -15,7 +15,7 @@ import yaml
 from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mavlink.clocks import BootTimes
-from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode
+from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 
@@ -25,6 +25,7 @@ _ARMED_FLAG = 0x80
 _PROFILES = {"px4": "px4_quad", "arducopter": "arducopter"}
 _STALE_NS = 3_000_000_000
 _FOUND_MAX = 1_000
+_PEERS_MAX = 16
 
 
 @dataclass
@@ -87,16 +88,13 @@ class Discovery:
     def __init__(self, addresses: Sequence[LinkAddress]) -> None:
         self._addresses = addresses
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
         self._next_hello_ns = 0
         self.found: dict[tuple[int, int], Found] = {}
 
     def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
         """Takes what came over a link."""
-        splitter = self._splitters.setdefault(
-            (link, peer), FrameSplitter(datagrams=not self._addresses[link].is_stream)
-        )
-        for piece in splitter.feed(data):
+        for piece in self._splitters.feed((link, peer), data, stream=self._addresses[link].is_stream):
             if isinstance(piece, Frame) and piece.compid == AUTOPILOT_COMPID and len(self.found) < _FOUND_MAX:
                 self._take(link, peer, piece, now_ns)
 
@@ -112,7 +110,8 @@ class Discovery:
                 if found is None:
                     found = self.found[link, frame.sysid] = Found(link, frame.sysid, kind, number)
                 found.mode, found.armed = int(values["custom_mode"]), bool(values["base_mode"] & _ARMED_FLAG)
-                found.heard_ns[peer] = now_ns
+                if peer in found.heard_ns or len(found.heard_ns) < _PEERS_MAX:
+                    found.heard_ns[peer] = now_ns
             elif batch.name == "GLOBAL_POSITION_INT" and found is not None and (values["lat"] or values["lon"]):
                 found.place_deg_m = (values["lat"] * 1e-7, values["lon"] * 1e-7, values["alt"] * 1e-3)
             elif batch.name == "AUTOPILOT_VERSION" and found is not None:

@@ -14,8 +14,11 @@ from threading import Event, Thread
 import numpy as np
 
 from groundstation.app.session import Session
+from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
-from groundstation.core.metrics import formation_error_m
+from groundstation.core.metrics import min_clearance
+from groundstation.core.regions import SafetySphere
+from groundstation.mission.failsafe import make_failsafe
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
@@ -27,7 +30,9 @@ _STREAMS = {"px4": "onboard", "arducopter": "ardupilot"}
 
 
 def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
-    """The mission's vehicles on the mission's pads, with the positions that the mission says they have.
+    """The mission's vehicles on the mission's pads, with the positions and the parameters that the mission asks for.
+
+    The parameters are those that ``gs check --fix`` would set; a firmware's own defaults are refused before arming.
 
     Args:
         plan: the mission.
@@ -45,24 +50,37 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     yaws = (
         np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
     )
+    keys = read_keys(plan)
+    key_of_vehicle = [keys[link] for link in plan.link_of_vehicle]
+    wishes = make_failsafe(plan).wishes
     config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(
                 sysid=vehicle.id,
                 autopilot=vehicle.autopilot,
-                profile=vehicle.profile,
+                profile=_flown(plan, vehicle.profile),
                 pad_enu_m=vehicle.pad_m,
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
                 streams=_STREAMS[vehicle.autopilot],
+                signing_key=None if key is None else key.setup_bytes(),
+                params=tuple(autopilot.failsafes.settings(wish).items()),
             )
-            for vehicle, yaw in zip(plan.spec.vehicles, yaws, strict=True)
+            for vehicle, yaw, key, autopilot, wish in zip(
+                plan.spec.vehicles, yaws, key_of_vehicle, plan.autopilots, wishes, strict=True
+            )
         )
     )
     anchor = plan.spec.anchor
     if anchor is not None:
         config = replace(config, home_lat_deg=anchor.lat_deg, home_lon_deg=anchor.lon_deg, home_alt_m=anchor.alt_m)
     return config
+
+
+def _flown(plan: MissionPlan, profile: str) -> str:
+    """The emulator's profile for one of the mission's: a mission's own figures do not change how vehicles fly."""
+    own = plan.spec.profiles.get(profile)
+    return profile if own is None or own.like is None else own.like
 
 
 def read_faults(path: Path | None, plan: MissionPlan) -> tuple[Fault, ...]:
@@ -137,14 +155,17 @@ def _ports(plan: MissionPlan) -> tuple[list[int], int | None]:
 
 
 class TruthMeter:
-    """Measures the true formation error while the formation is held.
+    """Measures the true formation error while the formation is held, and how near to safety regions anybody came.
 
     Attributes:
         formation_error_m: largest true |d_ij - d*_ij| over all pairs and all ticks of all holds; NaN before.
+        min_clearance: smallest true clearance between two vehicles in the air, in the norm of the safety region: at any
+            time for a sphere, at any tick for others; infinite before.
     """
 
     def __init__(self, world: World) -> None:
         self.formation_error_m = float("nan")
+        self.min_clearance = float("inf")
         self._world = world
 
     def figures(self) -> dict[str, float]:
@@ -152,13 +173,18 @@ class TruthMeter:
         return {
             "formation_error_m": self.formation_error_m,
             "min_distance_m": self._world.min_distance_airborne_m,
+            "min_clearance": self.min_clearance,
         }
 
     def __call__(self, session: Session, _now_ns: int) -> None:
         """Looks at the world after a tick."""
         runner = session.runner
+        region = runner.plan.region
+        if isinstance(region, SafetySphere):  # known at every physics step
+            self.min_clearance = self._world.min_distance_airborne_m / region.radius_m
+        else:
+            truth = self._world.truth
+            self.min_clearance = min(self.min_clearance, min_clearance(truth.pos_enu_m, region, truth.airborne))
         if runner.phase is Phase.HOLD:
-            error = formation_error_m(
-                self._world.truth.pos_enu_m, runner.plan.formation.distances_m, runner.role_of_agent
-            )
+            error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))

@@ -18,6 +18,9 @@ from groundstation.links.link import Link
 from sitl.world import Outgoing
 
 _MICROSECOND_NS = 1_000
+_STOOD_STILL_NS = 300_000_000
+_CATCH_UP_NS = 100_000_000
+_DRAIN_MAX = 50  # calls of `receive` on one link before a tick that comes late
 
 
 Watcher = Callable[[Session, int], None]
@@ -34,12 +37,34 @@ class EmulatedWorld(Protocol):
         """Hands in what the ground station sent to a vehicle."""
 
 
+class Control(Protocol):
+    """A way for the operator to speak: the keyboard, a local socket. Never waits and never raises."""
+
+    def sources(self) -> Sequence[int]:
+        """Descriptors to wait on; may change from call to call."""
+
+    def read(self) -> None:
+        """Takes what has arrived at the sources."""
+
+    def apply(self, session: Session, now_ns: int) -> None:
+        """Hands orders over, right before the tick that acts on them."""
+
+    def answer(self, session: Session) -> None:
+        """Tells, right after that tick, what became of them."""
+
+
 class Interrupts:
-    """Ctrl-C as the operator's commands: once to come back, twice to end the setpoints, a third time to leave."""
+    """Ctrl-C as the operator's commands: once to come back, twice to end the setpoints, a third time to leave.
+
+    A terminal that is closed means that nobody is at the keyboard any more: everybody comes back, and the flight goes
+    on to its end. Started with SIGHUP ignored (nohup), it flies on.
+    """
 
     def __init__(self) -> None:
         self.count = 0
+        self.hung_up = False
         self._acted_on = 0
+        self._hang_up_acted_on = False
 
     def interrupt(self) -> None:
         """One Ctrl-C."""
@@ -50,16 +75,31 @@ class Interrupts:
         while self._acted_on < min(self.count, 2):
             self._acted_on += 1
             session.operator("return" if self._acted_on == 1 else "silence", now_ns)
+        if self.hung_up and not self._hang_up_acted_on:
+            self._hang_up_acted_on = True
+            session.remark("alarm", "the terminal was closed; everybody comes back", now_ns)
+            session.operator("return", now_ns)
         return self.count < 3
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Takes SIGINT and SIGTERM as interrupts while the block runs."""
+        """Takes SIGINT, SIGTERM and SIGHUP while the block runs.
+
+        What job control does to a program that runs at a terminal would stop the setpoints, and is ignored: Ctrl-Z,
+        and reading or writing from the background.
+        """
 
         def take(_signal: int, _frame: FrameType | None) -> None:
             self.interrupt()
 
+        def hang_up(_signal: int, _frame: FrameType | None) -> None:
+            self.hung_up = True
+
         before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            before[signal.SIGHUP] = signal.signal(signal.SIGHUP, hang_up)
+        for number in (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU):
+            before[number] = signal.signal(number, signal.SIG_IGN)
         try:
             yield
         finally:
@@ -75,6 +115,7 @@ def fly_virtual(
     watchers: Sequence[Watcher],
     interrupts: Interrupts,
     pace: Callable[[int], None] | None = None,
+    controls: Sequence[Control] = (),
 ) -> None:
     """Flies against the emulator on virtual time, as fast as the machine can.
 
@@ -85,6 +126,7 @@ def fly_virtual(
         watchers: called after every tick.
         interrupts: operator's Ctrl-C.
         pace: called with the virtual time before every tick, to hold it to the wall clock; None to hurry.
+        controls: what else the operator speaks by; looked at before every tick.
     """
     fleet = session.runner.fleet
     peers = [f"emulator:{sysid}" for sysid in fleet.sysid]
@@ -99,10 +141,15 @@ def fly_virtual(
             session.deliver(int(fleet.link[sent.vehicle_index]), peers[sent.vehicle_index], sent.data, t_rx_ns)
         if not interrupts.apply(session, now_ns):
             return
+        for control in controls:
+            control.read()
+            control.apply(session, now_ns)
         for datagram in session.tick(now_ns):
             vehicle = vehicle_of_peer.get(datagram.peer)
             if vehicle is not None:  # a greeting to an address of the real world reaches nobody
                 world.receive(vehicle, b"".join(datagram.frames), now_ns)
+        for control in controls:
+            control.answer(session)
         for watch in watchers:
             watch(session, now_ns)
 
@@ -122,17 +169,21 @@ def wall_clock_pace() -> Callable[[int], None]:
 class FlightClock:
     """Time since the flight began, in ns cut to whole microseconds, which is what logs keep.
 
+    The date is asked once, for the stamp of the log; whoever sets the machine's clock steers nothing. Time in which the
+    machine sleeps counts, where the system has a clock for it: the vehicles did not sleep.
+
     Attributes:
         epoch_unix_us: unix time at which it began.
     """
 
     def __init__(self) -> None:
         self.epoch_unix_us = time.time_ns() // 1000
-        self._start_ns = time.monotonic_ns()
+        self._clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+        self._start_ns = time.clock_gettime_ns(self._clock)
 
     def now_ns(self) -> int:
         """Time since the flight began."""
-        elapsed_ns = time.monotonic_ns() - self._start_ns
+        elapsed_ns = time.clock_gettime_ns(self._clock) - self._start_ns
         return elapsed_ns - elapsed_ns % _MICROSECOND_NS
 
 
@@ -144,11 +195,14 @@ def fly_real(
     period_ns: int,
     watchers: Sequence[Watcher],
     interrupts: Interrupts,
+    controls: Sequence[Control] = (),
 ) -> None:
     """Flies on the wall clock over sockets.
 
     A late tick is made at once and counted by the runner; the schedule goes on from where it should be, and ticks
-    that were missed altogether are left out rather than made up for.
+    that were missed altogether are left out rather than made up for. After a longer standstill (the program was
+    suspended, or the machine) what lies in the sockets is old: it is taken in first, and the next tick waits for a
+    moment for what is new, so that nobody is judged, or steered, by where he was.
 
     Args:
         session: the flight.
@@ -157,35 +211,67 @@ def fly_real(
         period_ns: tick, ns.
         watchers: called after every tick.
         interrupts: operator's Ctrl-C.
+        controls: what else the operator speaks by.
     """
-    with Waiting(links) as waiting:
+    with Waiting([*links, *controls]) as waiting:
         next_tick_ns = clock.now_ns() + period_ns
         while not session.runner.done:
             for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
+                if number >= len(links):
+                    controls[number - len(links)].read()
+                    continue
                 for peer, data in links[number].receive():
                     session.deliver(number, peer, data, clock.now_ns())
             now_ns = clock.now_ns()
             if now_ns < next_tick_ns:
                 continue
+            if now_ns - next_tick_ns >= _STOOD_STILL_NS:
+                stood_s = (now_ns - next_tick_ns) / 1e9
+                session.remark("alarm", f"the ground station stood still for {stood_s:.1f} s", now_ns)
+                _drain(session, links, clock)
+                next_tick_ns = clock.now_ns() + _CATCH_UP_NS
+                continue
             if not interrupts.apply(session, now_ns):
                 return
+            for control in controls:
+                control.apply(session, now_ns)
             for link in links:
                 link.service(now_ns)
             for datagram in session.tick(now_ns):
                 links[datagram.link].send(datagram.peer, b"".join(datagram.frames))
+            for control in controls:
+                control.answer(session)
             for watch in watchers:
                 watch(session, now_ns)
             next_tick_ns += period_ns * ((now_ns - next_tick_ns) // period_ns + 1)
 
 
+def _drain(session: Session, links: Sequence[Link], clock: FlightClock) -> None:
+    """Takes in all that lies in the sockets."""
+    for number, link in enumerate(links):
+        for _ in range(_DRAIN_MAX):
+            arrived = link.receive()
+            if not arrived:
+                break
+            for peer, data in arrived:
+                session.deliver(number, peer, data, clock.now_ns())
+
+
+class _Source(Protocol):
+    """Anything with descriptors to wait on."""
+
+    def sources(self) -> Sequence[int]:
+        """Descriptors; may change from call to call."""
+
+
 class Waiting:
-    """Waits for bytes on links whose connections come and go: the one place that blocks.
+    """Waits for bytes on links and controls whose connections come and go: the one place that blocks.
 
     Args:
         links: in the order of the numbers that ``wait`` returns.
     """
 
-    def __init__(self, links: Sequence[Link]) -> None:
+    def __init__(self, links: Sequence[_Source]) -> None:
         self._links = links
         self._selector = selectors.DefaultSelector()
         self._known: list[tuple[int, ...]] = [()] * len(links)
@@ -199,15 +285,20 @@ class Waiting:
         self._selector.close()
 
     def wait(self, timeout_s: float) -> list[int]:
-        """Waits until bytes arrive, at most for a time; returns the numbers of the links that have some."""
+        """Waits until bytes arrive, at most for a time; returns the numbers of those that have some."""
+        changed = []
         for number, link in enumerate(self._links):
             now = tuple(link.sources())
             if now != self._known[number]:
-                # A descriptor that was closed has left the selector by itself, and its number may be in use again.
+                # A descriptor that was closed has left the selector by itself, and its number may be in use again, even
+                # by another link: all that has gone goes before anything new comes.
                 for descriptor in self._known[number]:
                     with suppress(KeyError, ValueError, OSError):
                         self._selector.unregister(descriptor)
-                for descriptor in now:
+                changed.append((number, now))
+        for number, now in changed:
+            for descriptor in now:
+                with suppress(OSError):  # one that cannot be waited on, such as a file in place of a terminal
                     self._selector.register(descriptor, selectors.EVENT_READ, number)
-                self._known[number] = now
+            self._known[number] = now
         return sorted({key.data for key, _ in self._selector.select(timeout_s)})

@@ -1,18 +1,55 @@
 """What the commands print, and how they end.
 
 Human-readable by default; with ``--json`` the last line of stdout is one JSON object and all else goes to stderr.
-No command prints in any other way.
+No command prints in any other way. A terminal or pipe that has gone away costs what would have been printed, never the
+command: a flight goes on, its log is finished, its exit code is its own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
+import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from rich.console import Console
+
+
+class SteadyConsole(Console):
+    """A console that says no more once nobody can hear it."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Prints, see ``rich.console.Console.print``."""
+        try:
+            super().print(*objects, **options)
+        except OSError:
+            self.on_broken_pipe()
+
+    def on_broken_pipe(self) -> None:
+        """Falls silent, and leaves nothing behind that could fail again when the program ends."""
+        self.quiet = True
+        let_go_of(sys.stderr if self.stderr else sys.stdout)
+
+
+def let_go_of(stream: TextIO) -> None:
+    """Makes a standard stream whose other end is gone lead nowhere."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def flush_streams() -> None:
+    """Writes out what the standard streams hold back; what cannot be written any more is forgotten."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            let_go_of(stream)
 
 
 class Output:
@@ -25,12 +62,12 @@ class Output:
 
     def __init__(self, *, as_json: bool) -> None:
         self.json = as_json
-        self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+        self.console = SteadyConsole(stderr=as_json, highlight=False, soft_wrap=True)
 
     def result(self, values: Mapping[str, object]) -> None:
         """Prints the JSON object, where one was asked for."""
         if self.json:
-            Console(highlight=False, soft_wrap=True, markup=False, emoji=False).print(to_json(values))
+            SteadyConsole(highlight=False, soft_wrap=True, markup=False, emoji=False).print(to_json(values))
 
 
 def to_json(values: Mapping[str, object]) -> str:

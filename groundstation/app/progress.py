@@ -1,8 +1,14 @@
-"""What a flight shows while it lasts: one live line of state, and a line for each thing that happens."""
+"""What a flight shows while it lasts: one live line of state, and a line for each thing that happens.
+
+The tick only says what is to be shown; a thread of its own shows it. A terminal that is stopped, slow, closed or full,
+and memory that has run out while drawing, cost the picture and nothing else.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
+from threading import Event, Thread
 from types import TracebackType
 
 from rich.console import Console
@@ -12,10 +18,13 @@ from rich.text import Text
 from groundstation.app.session import Session
 from groundstation.links.link import Link
 from groundstation.mission.plan import MissionPlan
-from groundstation.mission.runner import Phase
+from groundstation.mission.runner import Note, Phase
 
 _REFRESH_NS = 200_000_000
 _WAITING_NS = 5_000_000_000
+_LINES_MAX = 5_000  # that wait for a terminal that takes none; the oldest are left out, the log has them all
+_LAST_LINES_S = 5.0
+_WAITING_PHASES = (Phase.CONNECT, Phase.TAKEOVER)
 _STYLES = {"alarm": "bold red", "phase": "bold", "info": "dim", "roles": "dim"}
 
 
@@ -24,52 +33,140 @@ def link_troubles(links: Sequence[Link]) -> list[str]:
     return [f"link {link.url}: {link.state}" for link in links if link.state]
 
 
+class Screen:
+    """Prints lines and a live state from a thread of its own.
+
+    Args:
+        console: where to.
+
+    Attributes:
+        problem: why nothing is shown any more, None while all is well.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.problem: str | None = None
+        self._console = console
+        self._lines: deque[Text] = deque(maxlen=_LINES_MAX)
+        self._state: Text | None = None
+        self._news = Event()
+        self._end = False
+        self._thread = Thread(target=self._run, name="screen", daemon=True)
+
+    def start(self) -> None:
+        """Begins to show."""
+        self._thread.start()
+
+    def line(self, text: Text) -> None:
+        """Takes a line to be printed."""
+        self._lines.append(text)
+        self._news.set()
+
+    def state(self, text: Text) -> None:
+        """Takes the state to be shown below the lines, in place of the one before."""
+        self._state = text
+        self._news.set()
+
+    def stop(self) -> None:
+        """Shows what is left, as far as the terminal takes it, and ends."""
+        self._end = True
+        self._news.set()
+        if self._thread.is_alive():
+            self._thread.join(_LAST_LINES_S)
+
+    def _run(self) -> None:
+        try:
+            if not self._console.is_terminal:
+                self._show(None)
+                return
+            with Live(
+                console=self._console,
+                auto_refresh=False,
+                transient=True,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            ) as live:
+                self._show(live)
+        except BaseException as error:  # whatever it was, the flight goes on
+            self.problem = f"{type(error).__name__}: {error}"
+            self._lines = deque(maxlen=1)
+
+    def _show(self, live: Live | None) -> None:
+        ended = False
+        while not ended:
+            self._news.wait()
+            self._news.clear()
+            ended = self._end
+            while self._lines:
+                self._console.print(self._lines.popleft())
+            state, self._state = self._state, None
+            if live is not None and state is not None:
+                live.update(state, refresh=True)
+
+
 class FlightDisplay:
-    """Shows a flight on a console; used as a watcher of the loop.
+    """Shows a flight on a console; used as a watcher of the loop. Never raises into it.
 
     Args:
         console: where to.
         plan: the mission, for its name.
         links: whose troubles are shown as they come and go.
+        prompt: the line for the operator's keys, "" for none.
     """
 
-    def __init__(self, console: Console, plan: MissionPlan, links: Sequence[Link] = ()) -> None:
-        self._console = console
+    def __init__(
+        self,
+        console: Console,
+        plan: MissionPlan,
+        links: Sequence[Link] = (),
+        prompt: Callable[[], str] | None = None,
+    ) -> None:
+        self.screen = Screen(console)
+        self._terminal = console.is_terminal
         self._plan = plan
         self._links = links
         self._states = [""] * len(links)
-        self._live = Live(console=console, refresh_per_second=5, transient=True)
+        self._prompt = prompt
+        self._prompted = ""
         self._next_ns = 0
         self._next_waiting_ns = _WAITING_NS
 
     def __enter__(self) -> FlightDisplay:
         """Begins to show."""
-        if self._console.is_terminal:
-            self._live.start()
+        self.screen.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Ends the live line."""
-        self._live.stop()
+        self.screen.stop()
 
     def __call__(self, session: Session, now_ns: int) -> None:
         """Shows what has changed."""
-        for note in session.take_notes():
-            self._console.print(Text(f"{now_ns / 1e9:8.2f} s  {note.kind:5}  {note.text}", style=_STYLES[note.kind]))
-        if now_ns < self._next_ns:
+        notes = session.take_notes()
+        if self.screen.problem is not None:
             return
-        self._next_ns = now_ns + _REFRESH_NS
+        try:
+            self._look(session, now_ns, notes)
+        except Exception as error:  # memory may have run out
+            self.screen.problem = f"{type(error).__name__}: {error}"
+
+    def _look(self, session: Session, now_ns: int, notes: list[Note]) -> None:
+        for note in notes:
+            self.screen.line(Text(f"{now_ns / 1e9:8.2f} s  {note.kind:5}  {note.text}", style=_STYLES[note.kind]))
+        prompt = self._prompt() if self._prompt is not None else ""
+        if now_ns < self._next_ns and prompt == self._prompted:
+            return
+        self._next_ns, self._prompted = now_ns + _REFRESH_NS, prompt
         self._tell_links(now_ns)
         runner = session.runner
-        if self._console.is_terminal:
-            self._live.update(self._line(session, now_ns))
-        elif runner.phase is Phase.CONNECT and now_ns >= self._next_waiting_ns:
+        if self._terminal:
+            self.screen.state(self._line(session, now_ns, prompt))
+        elif runner.phase in _WAITING_PHASES and now_ns >= self._next_waiting_ns:
             # Where nothing can be drawn over, what is waited for is told now and then: an estimator takes a minute.
             self._next_waiting_ns = now_ns + _WAITING_NS
             for problem in [*link_troubles(self._links), *runner.problems]:
-                self._console.print(Text(f"{now_ns / 1e9:8.2f} s  waiting: {problem}", style="yellow"))
+                self.screen.line(Text(f"{now_ns / 1e9:8.2f} s  waiting: {problem}", style="yellow"))
 
     def _tell_links(self, now_ns: int) -> None:
         """A line for each link whose trouble is new, another, or over."""
@@ -79,16 +176,18 @@ class FlightDisplay:
                 self._states[number] = state
                 words = f"{link.url}: {state or 'works'}"
                 style = _STYLES["alarm" if state else "phase"]
-                self._console.print(Text(f"{now_ns / 1e9:8.2f} s  link   {words}", style=style))
+                self.screen.line(Text(f"{now_ns / 1e9:8.2f} s  link   {words}", style=style))
 
-    def _line(self, session: Session, now_ns: int) -> Text:
+    def _line(self, session: Session, now_ns: int, prompt: str) -> Text:
         runner = session.runner
         text = Text(f"{self._plan.spec.name}  {now_ns / 1e9:6.1f} s  {runner.phase.value}", style="bold cyan")
-        if runner.phase is Phase.CONNECT:
+        if runner.phase in _WAITING_PHASES:
             for problem in [*link_troubles(self._links), *runner.problems]:
                 text.append(f"\n  waiting: {problem}", style="yellow")
         else:
             airborne = int(runner.airborne.sum())
             text.append(f"  in the air: {airborne} of {self._plan.size}", style="default")
             text.append(f"  smallest distance {runner.figures.min_distance_m:.2f} m", style="default")
+        if prompt:
+            text.append(f"\n{prompt}", style="dim" if prompt.startswith("h hold") else "bold yellow")
         return text

@@ -136,7 +136,7 @@ def key_figures(flight: Flight) -> list[tuple[str, str]]:
         ("Ticks", str(flight.ticks) if flight.ticks else "none recorded"),
         ("Smallest distance between reported positions", _metres(flight.min_distance_m())),
         ("Safety radius r", _metres(flight.safety_radius_m)),
-        ("Formation", flight.formation.name if flight.formation else "unknown"),
+        ("Formation", ", ".join(dict.fromkeys(item.name for item in flight.formations)) or "unknown"),
         (f"Formation error {words}", _metres(float(error[0]) if len(error) and np.isfinite(error[0]) else None)),
         ("Changes of role", str(flight.role_changes)),
     ]
@@ -244,11 +244,11 @@ def _draw_trajectories(figure: Figure, flight: Flight) -> None:
 
 def _draw_graph(axes: Any, flight: Flight, final: FloatArray, t_ns: int) -> None:
     """The sensing graph between the vehicles that hold its roles."""
-    roles = flight.roles_at(t_ns)
-    if flight.formation is None or roles is None:
+    roles, formation = flight.roles_at(t_ns), flight.formation_at(t_ns)
+    if formation is None or roles is None:
         return
     holder = {role: vehicle for vehicle, role in enumerate(roles) if role is not None and vehicle < len(final)}
-    for i, j in flight.formation.edges:
+    for i, j in formation.edges:
         if i in holder and j in holder:
             ends = final[[holder[i], holder[j]]]
             axes.plot(ends[:, 0], ends[:, 1], ends[:, 2], color=_INK, lw=2.2, alpha=0.75, zorder=6, clip_on=False)
@@ -481,10 +481,11 @@ def _latest_known(flight: Flight, instant: int) -> IntArray:
 
 def _neighbour_pairs(flight: Flight) -> BoolArray | None:
     """Whether each pair (columns as ``Flight.distances_at``) ends as neighbours; None when that is not known."""
-    roles = flight.roles_at(shown_instant(flight)[0])
-    if flight.formation is None or roles is None or len(roles) != len(flight.vehicles):
+    instant = shown_instant(flight)[0]
+    roles, formation = flight.roles_at(instant), flight.formation_at(instant)
+    if formation is None or roles is None or len(roles) != len(flight.vehicles):
         return None
-    edges = set(flight.formation.edges) | {(j, i) for i, j in flight.formation.edges}
+    edges = set(formation.edges) | {(j, i) for i, j in formation.edges}
     first, second = np.triu_indices(len(roles), 1)
     return np.array([(roles[i], roles[j]) in edges for i, j in zip(first, second, strict=True)], dtype=np.bool_)
 

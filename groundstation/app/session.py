@@ -5,7 +5,10 @@ Loops call it with times; it reads no clock. Replay does the same calls from the
 
 from __future__ import annotations
 
+from groundstation.mavlink.codec import Frame
+from groundstation.mavlink.gate import Gate, Refused
 from groundstation.mavlink.station import Outgoing
+from groundstation.mission.operator import parse_command
 from groundstation.mission.runner import Note, Runner
 from groundstation.records.tlog import TlogWriter
 
@@ -16,34 +19,68 @@ class Session:
     Args:
         runner: the mission.
         log: where to record, None for nowhere.
+        gate: checks and makes signatures; None where no link is signed. It hands on whole frames, so that the runner
+            has to be one that takes them (``whole_frames``) and the log one without streams.
 
     Attributes:
         notes: what happened since the loop last took it, for the screen.
+        said: what the last tick had to say, for whoever waits for the answer to an order.
     """
 
-    def __init__(self, runner: Runner, log: TlogWriter | None) -> None:
+    def __init__(self, runner: Runner, log: TlogWriter | None, gate: Gate | None = None) -> None:
         self.runner = runner
+        self.gate = gate
         self.notes: list[Note] = []
+        self.said: list[Note] = []
         self._log = log
         self._log_problem_told = False
 
     def deliver(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes a datagram from a link."""
+        if self.gate is None:
+            self._admit(link, peer, data, t_rx_ns)
+            return
+        for piece in self.gate.receive(link, peer, data, t_rx_ns):
+            if not isinstance(piece, Refused):
+                self._admit(link, peer, piece.raw if isinstance(piece, Frame) else piece, t_rx_ns)
+            elif self._log is not None:
+                self._log.refused(link, peer, piece.frame, int(piece.verdict), t_rx_ns)
+
+    def _admit(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         if self._log is not None:
             self._log.received(link, peer, data, t_rx_ns)
         self.runner.receive(link, peer, data, t_rx_ns)
 
-    def operator(self, command: str, now_ns: int) -> None:
-        """Takes a command of the operator."""
+    def operator(self, command: str, now_ns: int) -> str:
+        """Takes an order, see ``mission.operator``; it is in the log before it is acted upon.
+
+        Returns:
+            The order in its plain form.
+
+        Raises:
+            ValueError: it is none, in words for people; nothing happens and nothing is recorded.
+        """
+        text = parse_command(command, self.runner.fleet.sysid.tolist()).text
         if self._log is not None:
-            self._log.operator(command, now_ns)
-        self.runner.operator(command)
+            self._log.operator(text, now_ns)
+        self.runner.operator(text)
+        return text
+
+    def remark(self, kind: str, text: str, now_ns: int) -> None:
+        """Tells people something that the runner need not know; in the log it is an event."""
+        if self._log is not None:
+            self._log.event(f"{kind}: {text}", now_ns)
+        self.notes.append(Note(kind, text))
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """Steps the runner and records what it sends and says."""
         if self._log is not None:
             self._log.tick(now_ns, self.runner.figures.ticks)
         outgoing = self.runner.step(now_ns)
+        greetings: list[Outgoing] = []
+        if self.gate is not None:
+            outgoing = self.gate.sign(outgoing, now_ns)
+            greetings = self.gate.greetings(now_ns)  # not the runner's, and not in the log: they steer nothing
         notes = self.runner.take_notes()
         if self._log is not None:
             for datagram in outgoing:
@@ -57,8 +94,9 @@ class Session:
             if self._log.problem is not None and not self._log_problem_told:
                 self._log_problem_told = True
                 notes.append(Note("alarm", self._log.problem))
+        self.said = notes
         self.notes += notes
-        return outgoing
+        return outgoing + greetings
 
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""

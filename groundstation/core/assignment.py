@@ -3,13 +3,15 @@
 Minimises the sum of squared distances over permutation, rotation about z and translation together. For given roles
 the best rotation and translation are known in closed form, for a given rotation the best roles are an optimal
 assignment; the two are alternated from evenly spread headings until nothing changes, and the best end is kept. Each
-alternation ends in a local optimum; the spread of starts is what makes the answer good. Deterministic.
+alternation ends in a local optimum, so the headings in between are then bounded, and halved where the bound leaves
+room for something better: the answer is the best there is, to a millionth (branch and bound). Deterministic.
 
-Only at the start does anybody know all positions; in flight agents act on their views alone.
+Only before a formation is formed does anybody know all positions; in flight agents act on their views alone.
 """
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +21,11 @@ from groundstation.core.formation import Formation
 from groundstation.core.types import ComplexArray, FloatArray, IntArray
 
 _MAX_ROUNDS = 50
+_GAP = 1e-6
+"""What a better answer that was missed may be better by, as a share of the spread of positions and points."""
+
+_MOST_HALVED = 400
+"""Intervals halved at most: where many headings are equally good, as with a ring, there is nothing more to find."""
 
 
 @dataclass(frozen=True)
@@ -66,30 +73,81 @@ def assign_roles(pos_team_enu_m: FloatArray, formation: Formation, yaw_starts: i
     pos, points, pos_mean, points_mean = _centred(pos_team_enu_m, formation)
     if yaw_starts < 1:
         raise ValueError(f"assignment: {yaw_starts} headings to start from, must be at least 1")
-    pos_xy, points_xy = pos[:, 0] + 1j * pos[:, 1], points[:, 0] + 1j * points[:, 1]
-    gain_z = pos[:, 2:3] * points[:, 2]
-    best: tuple[float, IntArray, float] | None = None
-    seen: set[bytes] = set()
-    for start in range(yaw_starts):
-        yaw = 2.0 * np.pi * start / yaw_starts
-        roles: IntArray | None = None
+    search = _Search(pos, points)
+    yaws = [2.0 * np.pi * start / yaw_starts for start in range(yaw_starts)]
+    values = [search.alternate(yaw) for yaw in yaws]
+    search.close_gaps([*yaws, 2.0 * np.pi], [*values, values[0]])
+    return _assignment(search.roles, search.yaw_rad, search.cost_m2, pos_mean, points_mean)
+
+
+class _Search:
+    """The search for the best roles and heading of centred positions and points.
+
+    |p - R q|^2 = |p|^2 + |q|^2 - 2 p.Rq: only the last term, the gain, depends on the choice.
+
+    Attributes:
+        roles: the best so far.
+        yaw_rad: their best heading.
+        cost_m2: their sum of squares.
+    """
+
+    def __init__(self, pos: FloatArray, points: FloatArray) -> None:
+        self.roles: IntArray = np.arange(len(pos))
+        self.yaw_rad = 0.0
+        self.cost_m2 = np.inf
+        self._pos, self._points = pos, points
+        self._pos_xy, self._points_xy = pos[:, 0] + 1j * pos[:, 1], points[:, 0] + 1j * points[:, 1]
+        self._gain_z = pos[:, 2:3] * points[:, 2]
+        self._seen: set[bytes] = set()
+        self._size_m2 = float(np.sum(pos**2) + np.sum(points**2))
+
+    def alternate(self, yaw_rad: float) -> float:
+        """Goes from a heading to roles, from roles to heading, until nothing changes; returns the start's gain."""
+        first, roles = None, None
         for _ in range(_MAX_ROUNDS):
-            # |p - R q|^2 = |p|^2 + |q|^2 - 2 p.Rq: only the last term depends on the choice.
-            gain = (np.conj(pos_xy)[:, None] * (np.exp(1j * yaw) * points_xy)).real + gain_z
-            new_roles = linear_sum_assignment(gain, maximize=True)[1].astype(np.int64)
+            gain = (np.conj(self._pos_xy)[:, None] * (np.exp(1j * yaw_rad) * self._points_xy)).real + self._gain_z
+            agents, new_roles = linear_sum_assignment(gain, maximize=True)
+            first = float(gain[agents, new_roles].sum()) if first is None else first
+            new_roles = new_roles.astype(np.int64)
             if roles is not None and np.array_equal(new_roles, roles):
                 break
             roles = new_roles
-            if roles.tobytes() in seen:
+            if roles.tobytes() in self._seen:
                 break
-            seen.add(roles.tobytes())
-            yaw = _best_yaw(pos_xy, points_xy[roles])
-            cost = _cost(pos, points[roles], yaw)
+            self._seen.add(roles.tobytes())
+            yaw_rad = _best_yaw(self._pos_xy, self._points_xy[roles])
+            cost = _cost(self._pos, self._points[roles], yaw_rad)
             # A gain within rounding is none: keeps the answer independent of the order of equal solutions.
-            if best is None or cost < best[0] - 1e-12 * (1.0 + best[0]):
-                best = (cost, roles, yaw)
-    assert best is not None  # noqa: S101 - the first round always sets it
-    return _assignment(best[1], best[2], best[0], pos_mean, points_mean)
+            if cost < self.cost_m2 - 1e-12 * (1.0 + cost):
+                self.cost_m2, self.roles, self.yaw_rad = cost, roles, yaw_rad
+        return first if first is not None else -np.inf
+
+    def close_gaps(self, yaws: list[float], gains: list[float]) -> None:
+        """Halves the intervals between headings until none can hold an answer that is better by the gap.
+
+        For given roles the gain over the heading is S cos(yaw - phi) + Z. Of width 2 h, an interval whose ends reach
+        at most G holds at most G + (1 / cos h - 1) min(G - Z, S), for every choice of roles.
+        """
+        swing = float(np.sort(np.abs(self._pos_xy)) @ np.sort(np.abs(self._points_xy)))  # the largest S there can be
+        least_z = float(np.sort(self._pos[:, 2]) @ np.sort(self._points[:, 2])[::-1])
+
+        def bound(low: float, high: float, gain: float) -> float:
+            return float(gain + (1.0 / np.cos(0.5 * (high - low)) - 1.0) * min(max(gain - least_z, 0.0), swing))
+
+        heap = [
+            (-bound(low, high, max(a, b)), low, high, a, b)
+            for low, high, a, b in zip(yaws[:-1], yaws[1:], gains[:-1], gains[1:], strict=True)
+            if high - low < 0.5 * np.pi
+        ]
+        heapq.heapify(heap)
+        for _ in range(_MOST_HALVED):
+            if not heap or -heap[0][0] <= 0.5 * (self._size_m2 * (1.0 + _GAP) - self.cost_m2):
+                return
+            _, low, high, a, b = heapq.heappop(heap)
+            middle = 0.5 * (low + high)
+            m = self.alternate(middle)
+            heapq.heappush(heap, (-bound(low, middle, max(a, m)), low, middle, a, m))
+            heapq.heappush(heap, (-bound(middle, high, max(m, b)), middle, high, m, b))
 
 
 def fixed_roles(pos_team_enu_m: FloatArray, formation: Formation, role_of_agent: IntArray) -> Assignment:

@@ -9,6 +9,12 @@ would remain if both stopped now: what is already moving counts, not only what i
 are met together by the smallest change of its velocity (a projection onto a convex polyhedron, solved exactly).
 A negative h commands the pair apart. The argument, with its assumptions, stands in docs/avoidance.md.
 
+Around an upright region (`regions`) the same stands for its distance, with the gradient of that in place of n: any
+distance that is convex and grows no faster than an agent moves will do.
+
+An obstacle (``LocalViews.extra_m`` above zero) does its half of nothing: there r grows by that, and i does both halves,
+n_ij . u_i <= alpha h_ij + min(n_ij . w_j, 0), w_j the obstacle's velocity as measured.
+
 Refuses parameters for which the argument does not hold. It does not know other agents' intentions: both sides of a
 pair must run it.
 """
@@ -20,6 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from groundstation.core import frames
+from groundstation.core.regions import SafetyRegion, SafetySphere, rot_level_from_flu
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews
 
@@ -48,6 +56,7 @@ class DamperParams:
         tick_s: period of the controller, > 0.
         speed_limit_m_s: largest commanded speed, > 0.
         accel_limit_m_s2: largest acceleration of the vehicle, > 0; infinite where unknown to matter.
+        region: what is kept out of instead of a ball of radius r; its radius is r. Activation does not matter here.
     """
 
     radius_m: float
@@ -57,6 +66,7 @@ class DamperParams:
     tick_s: float
     speed_limit_m_s: float
     accel_limit_m_s2: float = float("inf")
+    region: SafetyRegion | None = None
 
     def __post_init__(self) -> None:
         """Refuses values outside their ranges."""
@@ -66,6 +76,14 @@ class DamperParams:
         for name in ("margin_m", "lag_s", "delay_s"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"damper: {name} is {getattr(self, name)}, must not be negative")
+        if self.region is not None and self.region.radius_m != self.radius_m:
+            raise ValueError(f"damper: radius_m is {self.radius_m}, of the region {self.region.radius_m}")
+
+    @property
+    def keep_out(self) -> SafetyRegion:
+        """The region with the margin."""
+        region = self.region or SafetySphere(self.radius_m, self.radius_m)
+        return region.grown(self.margin_m)
 
     @property
     def horizon_s(self) -> float:
@@ -109,6 +127,8 @@ def damp(
     params: DamperParams,
     wall_normals_flu: FloatArray | None = None,
     wall_bounds_m_s: FloatArray | None = None,
+    *,
+    common_flu_m_s: FloatArray | None = None,
 ) -> Damped:
     """Changes velocities as little as possible so that nobody approaches anybody faster than both can stop.
 
@@ -123,6 +143,10 @@ def damp(
         wall_normals_flu: further unit vectors w per agent along which the velocity is bounded (`limits.fence_bounds`
             turned into the agent's frame), shape (m, w, 3).
         wall_bounds_m_s: their bounds, shape (m, w).
+        common_flu_m_s: velocity that each agent was told to share with the team, as part of a formation that moves and
+            turns as one, shape (m, 3). Along a line to another agent bounds then count from what both move along it
+            already, as measured, up to what was told: who follows a moving agent may keep up with it, and who
+            follows one that stays behind may not run into it.
 
     Returns:
         New velocities; rows within all bounds come back unchanged.
@@ -134,6 +158,8 @@ def damp(
     if vel_flu_m_s.shape != (m, 3) or not np.all(np.isfinite(vel_flu_m_s)):
         raise ValueError(f"wanted velocities must be finite and of shape ({m}, 3)")
     normals, bounds = approach_bounds(views, params)
+    if common_flu_m_s is not None:
+        bounds = bounds + _shared_m_s(views, normals, common_flu_m_s)
     if wall_normals_flu is not None and wall_bounds_m_s is not None:
         normals = np.concatenate([normals, wall_normals_flu], axis=1)
         bounds = np.concatenate([bounds, wall_bounds_m_s], axis=1)
@@ -155,6 +181,17 @@ def damp(
     return Damped(vel, changed, held, infeasible, broken[:, : views.team_size])
 
 
+def _shared_m_s(views: LocalViews, normals: FloatArray, common_flu_m_s: FloatArray) -> FloatArray:
+    """What two agents move along the line between them together: measured, up to what was told; shape (m, n).
+
+    Both ends of a pair measure the same mean of their velocities, so what one bound gains the other loses.
+    """
+    told = (normals * common_flu_m_s[:, None]).sum(axis=2)
+    mean_flu_m_s = views.vel_flu_m_s[:, None] + 0.5 * views.rel_vel_flu_m_s
+    moved = (normals * np.where(np.isfinite(mean_flu_m_s), mean_flu_m_s, 0.0)).sum(axis=2)
+    return np.asarray(np.clip(moved, np.minimum(told, 0.0), np.maximum(told, 0.0)), dtype=np.float64)
+
+
 def walls(rot_ned_from_flu: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Turns the speeds of `limits.fence_bounds` into bounds for `damp`.
 
@@ -173,23 +210,22 @@ def walls(rot_ned_from_flu: FloatArray, low_m_s: FloatArray, high_m_s: FloatArra
     return normals, np.concatenate([low_m_s, high_m_s], axis=1)
 
 
-def fitting_margin_m(margin_m: float, radius_m: float, shortest_m: float) -> float:
-    """Shrinks a margin so that the formation can be reached: at most half of what its shortest distance leaves.
+def fitting_margin_m(margin_m: float, room_m: float) -> float:
+    """Shrinks a margin so that the formation can be reached: at most half of the room that it leaves.
 
     Args:
         margin_m: what position errors ask for.
-        radius_m: r.
-        shortest_m: shortest distance between two points of the formation, > r.
+        room_m: by how much the region can grow before the formation touches it, > 0.
 
     Returns:
         The margin, metres.
 
     Raises:
-        ValueError: a shortest distance that is not above r: the formation cannot be reached.
+        ValueError: no room: the formation cannot be reached.
     """
-    if not shortest_m > radius_m:
-        raise ValueError(f"formation: shortest distance is {shortest_m} m, must be above the radius {radius_m} m")
-    return min(margin_m, 0.5 * (shortest_m - radius_m))
+    if not room_m > 0.0:
+        raise ValueError(f"formation: leaves {room_m} m of room around the safety region, must be positive")
+    return min(margin_m, 0.5 * room_m)
 
 
 def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray, FloatArray]:
@@ -197,24 +233,48 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
 
     Args:
         views: what m agents see.
-        params: the vehicles and the radius.
+        params: the vehicles and the region.
 
     Returns:
-        Unit vectors towards the others, shape (m, n, 3), and bounds, shape (m, n), m/s: infinite (and the vector
-        zero) where there is nobody, or nobody in any direction: coincident agents have no line between them.
+        Vectors towards the others, shape (m, n, 3), and bounds, shape (m, n), m/s: infinite (and the vector zero) where
+        there is nobody, or nobody in any direction: coincident agents have no line between them. The vectors are
+        gradients of the region's distance: unit vectors for a sphere, never longer.
     """
-    rel = views.rel_pos_flu_m
-    x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
-    distance = np.sqrt(x * x + y * y + z * z)
-    seen = views.visible & (distance > 1e-9)
-    distance = np.where(seen, distance, 1.0)
-    normals = np.where(seen[..., None], rel, 0.0) / distance[..., None]
+    distance, normals = _distance_left(views, params)
+    seen = np.isfinite(distance)
     rel_vel = views.rel_vel_flu_m_s
-    parting = normals[..., 0] * rel_vel[..., 0] + normals[..., 1] * rel_vel[..., 1] + normals[..., 2] * rel_vel[..., 2]
-    parting = np.where(np.isfinite(parting), np.minimum(parting, 0.0), -params.speed_limit_m_s)
-    left = distance - (params.radius_m + params.margin_m) + params.horizon_s * parting
-    bounds = np.maximum(0.5 * params.rate_1_s * left, -params.speed_limit_m_s)
+    rate = normals[..., 0] * rel_vel[..., 0] + normals[..., 1] * rel_vel[..., 1] + normals[..., 2] * rel_vel[..., 2]
+    parting = np.where(np.isfinite(rate), np.minimum(rate, 0.0), -params.speed_limit_m_s)
+    left = distance + params.horizon_s * parting
+    bounds = 0.5 * params.rate_1_s * left
+    if views.extra_m.any():
+        unsteered = seen & (views.extra_m > 0.0)
+        own = views.vel_flu_m_s[:, None]
+        towards = normals[..., 0] * own[..., 0] + normals[..., 1] * own[..., 1] + normals[..., 2] * own[..., 2]
+        # Of an obstacle whose velocity is unknown no more is known than that the pair may close at full speed.
+        its_own = np.where(np.isfinite(rate + towards), np.minimum(rate + towards, 0.0), 0.0)
+        bounds = np.where(unsteered, params.rate_1_s * left + its_own, bounds)
+    bounds = np.maximum(bounds, -params.speed_limit_m_s)
     return normals, np.where(seen, bounds, np.inf)
+
+
+def _distance_left(views: LocalViews, params: DamperParams) -> tuple[FloatArray, FloatArray]:
+    """Distances (m, n) to the region with its margin, infinite where there is none, and their gradients (m, n, 3)."""
+    rel = views.rel_pos_flu_m
+    if params.region is None or isinstance(params.region, SafetySphere):
+        x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        seen = views.visible & (length > 1e-9)
+        length = np.where(seen, length, 1.0)
+        normals = np.where(seen[..., None], rel, 0.0) / length[..., None]
+        left = length - (params.radius_m + params.margin_m + views.extra_m)
+        return np.where(seen, left, np.inf), normals
+    level = rot_level_from_flu(views.up_flu)[:, None]
+    offset = np.where(views.visible[..., None], frames.rotate(level, rel), 0.0)
+    left, gradient = params.keep_out.distance(offset, views.extra_m)
+    seen = views.visible & (np.abs(gradient).max(axis=-1) > 0.0)
+    normals = np.where(seen[..., None], frames.rotate_back(level, gradient), 0.0)
+    return np.where(seen, left, np.inf), normals
 
 
 def project(vel: FloatArray, normals: FloatArray, bounds: FloatArray) -> tuple[FloatArray, bool]:
@@ -225,7 +285,7 @@ def project(vel: FloatArray, normals: FloatArray, bounds: FloatArray) -> tuple[F
 
     Args:
         vel: shape (3,).
-        normals: unit vectors, shape (k, 3).
+        normals: shape (k, 3).
         bounds: shape (k,).
 
     Returns:

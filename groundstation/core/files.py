@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,14 +13,41 @@ from pydantic import BaseModel, ValidationError
 from groundstation.core.errors import UserError
 
 Model = TypeVar("Model", bound=BaseModel)
+_BYTES_MAX = 32 << 20
+_VALUES_MAX = 5_000_000  # counted with every alias written out: that is what whoever walks through them meets
+_DEPTH_MAX = 100
+_NUMBER_MAX = 400  # characters; the largest float has 309 digits
+_NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = 200
+_short.maxlong = 60
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe loader that refuses a key given twice, which YAML would silently take from the last place."""
+    """Safe loader that refuses a key given twice, which YAML would silently take from the last place.
+
+    Aliases are taken, but neither those that grow beyond all bounds when they are written out nor those that hold
+    themselves; and no numbers that would take Python minutes to read.
+    """
+
+    def fetch_flow_collection_start(self, TokenClass: Any) -> None:
+        if self.flow_level >= _DEPTH_MAX:  # PyYAML's time grows with the cube of it
+            raise yaml.scanner.ScannerError(None, None, f"nested more than {_DEPTH_MAX} deep", self.get_mark())
+        super().fetch_flow_collection_start(TokenClass)
+
+    def get_single_node(self) -> yaml.Node | None:
+        node = super().get_single_node()
+        if node is not None and _expanded(node, {}) > _VALUES_MAX:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"more than {_VALUES_MAX} values when aliases are written out", node.start_mark
+            )
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
+            if key_node.tag == "tag:yaml.org,2002:merge":  # `<<`: what is there besides comes first
+                continue
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, Hashable) and key in seen:
                 raise yaml.constructor.ConstructorError(
@@ -29,6 +57,23 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
+    """Number of values of a node with every alias written out; judges them on the way."""
+    if isinstance(node, yaml.ScalarNode):
+        if node.tag in _NUMBER_TAGS and len(node.value) > _NUMBER_MAX:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"a number of {len(node.value)} characters, limit {_NUMBER_MAX}", node.start_mark
+            )
+        return 1
+    if id(node) not in known:
+        known[id(node)] = -1
+        children = [part for pair in node.value for part in pair] if isinstance(node, yaml.MappingNode) else node.value
+        known[id(node)] = 1 + sum(_expanded(child, known) for child in children)
+    elif known[id(node)] < 0:
+        raise yaml.constructor.ConstructorError(None, None, "an alias that holds itself", node.start_mark)
+    return known[id(node)]
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Reads a YAML file whose top level is a mapping.
 
@@ -36,7 +81,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
         UserError: no such file, not readable, not YAML, or not a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(_BYTES_MAX + 1)
+        if len(content) > _BYTES_MAX:
+            raise UserError(f"{path}: is longer than {_BYTES_MAX >> 20} MB, the limit for such files")
+        text = content.decode("utf-8")
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
@@ -50,16 +99,28 @@ def parse_yaml(text: str, source: str) -> dict[str, Any]:
     Raises:
         UserError: not YAML, or not a mapping.
     """
+    values = parse_yaml_value(text, source)
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise UserError(f"{source}: expected keys and values at the top level, for example `name: ...`")
+    return values
+
+
+def parse_yaml_value(text: str, source: str) -> Any:
+    """Reads YAML text that holds anything; ``source`` names it in messages.
+
+    Raises:
+        UserError: not YAML, or too much of it.
+    """
     try:
-        values = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - a SafeLoader
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        return yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - a SafeLoader
+    except RecursionError:
+        raise UserError(f"{source}: is not valid YAML: nested too deeply") from None
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError, AttributeError, LookupError) as error:
+        # The last ones are PyYAML's own, for example on `!!binary` of a list or a date without a day.
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
         problem = getattr(error, "problem", None) or str(error)
         raise UserError(f"{source}: {place}is not valid YAML: {problem}") from None
-    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise UserError(f"{source}: expected keys and values at the top level, for example `name: ...`")
-    return values
 
 
 def validate(model: type[Model], values: dict[str, Any], source: str) -> Model:
@@ -87,4 +148,4 @@ def _describe(source: str, item: Any) -> str:
         return f"{source}: {key}: is missing, give it a value"
     message = item["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
-    return f"{source}: {key or 'file'}: {message}, got {item['input']!r}"
+    return f"{source}: {key or 'file'}: {message}, got {_short.repr(item['input'])}"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -31,6 +32,31 @@ def formation_error_m(pos_m: FloatArray, distances_m: FloatArray, role_of_agent:
     return float(np.abs(pair_distances_m(pos_m) - wanted).max())
 
 
+def free_scale_error_m(pos_m: FloatArray, points_m: FloatArray, role_of_agent: IntArray) -> float:
+    """Largest error of a distance for the law (2), which fixes neither the horizontal nor the vertical scale.
+
+    The formation is laid over the positions by the best turn about z and the best of both scales (Theorem 1).
+
+    Args:
+        pos_m: shape (n, 3), any one frame with a vertical third axis.
+        points_m: the formation's points by role, ENU, shape (n, 3).
+        role_of_agent: shape (n,).
+
+    Returns:
+        Metres; NaN when a position is unknown.
+    """
+    pos, points = pos_m - pos_m.mean(axis=0), points_m[role_of_agent] - points_m[role_of_agent].mean(axis=0)
+    # In NED a formation appears mirrored in its heading and upside down; distances do not mind, so both are tried.
+    errors = []
+    for axes in ([0, 1], [1, 0]):
+        p, q = pos[:, axes[0]] + 1j * pos[:, axes[1]], points[:, 0] + 1j * points[:, 1]
+        level = np.sum(np.conj(q) * p) / max(float(np.sum((np.conj(q) * q).real)), 1e-12)
+        upward = float(pos[:, 2] @ points[:, 2]) / max(float(points[:, 2] @ points[:, 2]), 1e-12)
+        scaled = np.stack([np.abs(level) * q.real, np.abs(level) * q.imag, abs(upward) * points[:, 2]], axis=1)
+        errors.append(float(np.abs(pair_distances_m(pos) - pair_distances_m(scaled)).max()))
+    return min(errors)
+
+
 def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None) -> float:
     """Smallest distance between two counted agents.
 
@@ -47,6 +73,27 @@ def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None) -> float
     distances = pair_distances_m(pos_m[here])
     first, second = np.triu_indices(len(distances), 1)
     return float(distances[first, second].min()) if len(first) else float("inf")
+
+
+def min_clearance(pos_m: FloatArray, region: SafetyRegion, counted: BoolArray | None = None) -> float:
+    """Smallest clearance between two counted agents in a safety region's own norm: below 1, one is inside.
+
+    Args:
+        pos_m: shape (n, 3), any frame whose third axis is vertical; unknown positions (NaN) count as nobody.
+        region: the safety region.
+        counted: who counts, shape (n,); everybody when absent.
+
+    Returns:
+        Dimensionless; infinite when fewer than two agents count.
+    """
+    if isinstance(region, SafetySphere):
+        return min_distance_m(pos_m, counted) / region.radius_m
+    here = np.isfinite(pos_m).all(axis=1)
+    if counted is not None:
+        here = here & counted
+    first, second = np.triu_indices(int(here.sum()), 1)
+    known = pos_m[here]
+    return float(region.clearance(known[second] - known[first]).min(initial=np.inf))
 
 
 def vertical_orientation(height_m: FloatArray, points_height_m: FloatArray, role_of_agent: IntArray) -> float:

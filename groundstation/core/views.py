@@ -7,12 +7,15 @@ shows as NaN in the setpoint, which `limits` refuses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
+
+_NOBODY: FloatArray = np.zeros((0, 0))
+"""Stands for zeros of whatever shape is right."""
 
 
 @dataclass(frozen=True)
@@ -25,16 +28,29 @@ class LocalViews:
             where either velocity is unknown.
         visible: agent i sees agent j, shape (m, n); nobody sees itself.
         vel_flu_m_s: own velocity in own axes, shape (m, 3), NaN where unknown.
+        extra_m: what is added to the safety radius between i and j because j is an obstacle that nobody steers, shape
+            (m, n), >= 0. Where it is above zero, i does both halves of every manoeuvre. Zeros when left out.
+        up_flu: unit vector upwards in own axes, from the own attitude, shape (m, 3). Level when left out.
     """
 
     rel_pos_flu_m: FloatArray
     rel_vel_flu_m_s: FloatArray
     visible: BoolArray
     vel_flu_m_s: FloatArray
+    extra_m: FloatArray = field(default_factory=lambda: _NOBODY)
+    up_flu: FloatArray = field(default_factory=lambda: _NOBODY)
 
     def __post_init__(self) -> None:
         """Refuses arrays that do not belong together."""
         m, n = self.visible.shape
+        if self.extra_m is _NOBODY:
+            object.__setattr__(self, "extra_m", np.zeros((m, n)))
+        elif self.extra_m.shape != (m, n) or not np.all((self.extra_m >= 0.0) & (self.extra_m < np.inf)):
+            raise ValueError(f"views: extra radii must be finite, not negative and of shape ({m}, {n})")
+        if self.up_flu is _NOBODY:
+            object.__setattr__(self, "up_flu", np.tile([0.0, 0.0, 1.0], (m, 1)))
+        elif self.up_flu.shape != (m, 3):
+            raise ValueError(f"views: upward vectors have shape {self.up_flu.shape}, expected ({m}, 3)")
         if self.rel_pos_flu_m.shape != (m, n, 3) or self.rel_vel_flu_m_s.shape != (m, n, 3):
             raise ValueError(
                 f"views: relative positions {self.rel_pos_flu_m.shape} and velocities "
@@ -61,6 +77,8 @@ class LocalViews:
             rel_vel_flu_m_s=self.rel_vel_flu_m_s[rows],
             visible=self.visible[rows],
             vel_flu_m_s=self.vel_flu_m_s[rows],
+            extra_m=self.extra_m[rows],
+            up_flu=self.up_flu[rows],
         )
 
 
@@ -106,6 +124,7 @@ def local_views(
         rel_vel_flu_m_s=rel_flu[1],
         visible=visible,
         vel_flu_m_s=frames.rotate_back(rot, vel_ned_m_s),
+        up_flu=-rot[:, 2],  # the third row is down, seen from the body
     )
 
 

@@ -8,6 +8,7 @@ and believes no certificate on reading: ``check_gains`` computes it again.
 from __future__ import annotations
 
 import io
+import math
 import os
 import struct
 import zipfile
@@ -28,6 +29,8 @@ from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certi
 from groundstation.design.problem import SPECTRAL_NORM, Matrix
 
 FILE_VERSION = 1
+_MEMBERS_MAX = 32
+_BYTES_MAX = 1 << 28  # unpacked; a thousand agents need 48 MB
 CLAIM_TOLERANCE = 1e-6
 """Stored eigenvalues may differ from recomputed ones by this much of the spectral norm, and so may that itself."""
 
@@ -240,8 +243,8 @@ def load_gains(path: Path) -> StoredGains:
         UserError: missing, truncated, not a gains file, or with arrays of wrong shapes.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: np.asarray(archive[name]) for name in archive.files}
+        with zipfile.ZipFile(path) as archive:
+            arrays = {info.filename.removesuffix(".npy"): _read_array(archive, info) for info in _members(archive)}
     except FileNotFoundError as error:
         raise UserError(f"{path}: no such file; make it with: gs design FORMATION.yaml -o {path}") from error
     except DAMAGE as error:
@@ -250,6 +253,33 @@ def load_gains(path: Path) -> StoredGains:
         return _unpack(path, arrays)
     except (KeyError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not a gains file: {error}; make it again with gs design") from error
+
+
+def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+    size = sum(info.file_size for info in members)
+    if len(members) > _MEMBERS_MAX or size > _BYTES_MAX:
+        raise ValueError(
+            f"{len(members)} arrays of {size} bytes unpacked, limits {_MEMBERS_MAX} and {_BYTES_MAX}: no gains file"
+        )
+    return members
+
+
+def _read_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[np.generic]:
+    """Reads one array whose header claims no more than its bytes hold; never unpickles."""
+    with archive.open(info) as member:
+        content = member.read(info.file_size)  # a member that holds more than it says fails its checksum here
+    buffer = io.BytesIO(content)
+    version = np.lib.format.read_magic(buffer)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"array {info.filename} has format {version}, expected 1.0 or 2.0")
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(buffer)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - buffer.tell():
+        raise ValueError(f"array {info.filename} claims {shape} of {dtype}, which is not what it holds")
+    buffer.seek(0)
+    values: NDArray[np.generic] = np.lib.format.read_array(buffer, allow_pickle=False)
+    return values
 
 
 def _unpack(path: Path, arrays: dict[str, NDArray[np.generic]]) -> StoredGains:

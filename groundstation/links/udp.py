@@ -29,6 +29,7 @@ class UdpLink:
     state: str = ""
     _addresses: dict[str, tuple[str, int]] = field(default_factory=dict)
     _peers: tuple[str, ...] = ()
+    _spoken_to: dict[str, None] = field(default_factory=dict)
 
     def sources(self) -> tuple[int, ...]:
         """The socket."""
@@ -53,10 +54,17 @@ class UdpLink:
                 self.errors += 1
                 continue
             peer = f"{address[0]}:{address[1]}"
-            if peer in self._addresses or len(self._addresses) < _PEERS_MAX:
-                self._addresses[peer] = (address[0], address[1])
+            if peer not in self._addresses and len(self._addresses) >= _PEERS_MAX:
+                self._forget_one()
+            self._addresses[peer] = (address[0], address[1])
             arrived.append((peer, data))
         return arrived
+
+    def _forget_one(self) -> None:
+        """Makes room for a new address: the oldest to which nothing was ever sent goes, if there is one."""
+        oldest = next((peer for peer in self._addresses if peer not in self._spoken_to), next(iter(self._addresses)))
+        del self._addresses[oldest]
+        self._spoken_to.pop(oldest, None)
 
     def send(self, peer: str, data: bytes) -> None:
         """Sends one datagram to a peer that was heard from; what cannot be sent is counted."""
@@ -64,6 +72,7 @@ class UdpLink:
         if address is None:
             self.errors += 1
             return
+        self._spoken_to[peer] = None
         try:
             self.socket.sendto(data, address)
         except OSError:

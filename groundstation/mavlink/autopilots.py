@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 
 from groundstation.mavlink.codec import message_id
 from groundstation.mavlink.commands import Command
+from groundstation.mavlink.failsafes import ArduCopterFailsafes, Failsafes, Px4Failsafes
 
 CMD_NAV_LAND = 21
 CMD_NAV_TAKEOFF = 22
@@ -19,6 +20,8 @@ CMD_COMPONENT_ARM_DISARM = 400
 CMD_SET_MESSAGE_INTERVAL = 511
 CMD_REQUEST_MESSAGE = 512
 _CUSTOM_MODE_ENABLED = 1.0
+_FORCE = 21196.0  # the number that makes COMPONENT_ARM_DISARM act in the air
+_STATE_CRITICAL = 5  # MAV_STATE
 
 MASK_VELOCITY_AND_YAW = 0x09C7
 """POSITION_TARGET_TYPEMASK that leaves velocity and yaw to us and ignores position, acceleration and yaw rate."""
@@ -34,6 +37,16 @@ class Autopilot(ABC):
     """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
     chatter: tuple[str, ...] = ()
     """Streams that it may send unasked and that nobody here needs; stopped on narrow links."""
+    params_bytewise = False
+    """Whether integer parameters lie in the bytes of the float that they travel in; else they are cast to it."""
+    estimator_message: str
+    """Message that tells how its estimator does."""
+    oldest: tuple[int, int]
+    """Version before which what is relied on here was not there."""
+    tried: tuple[int, int]
+    """Version from which on failsafes act as described in docs/preflight.md."""
+    failsafes: Failsafes
+    """What its parameters should say about flying on without us."""
 
     def arm(self) -> Command:
         """Command that arms, with the autopilot's own checks."""
@@ -42,6 +55,10 @@ class Autopilot(ABC):
     def disarm(self) -> Command:
         """Command that disarms on the ground; refused in the air."""
         return Command("disarm", CMD_COMPONENT_ARM_DISARM, (0.0,))
+
+    def kill(self) -> Command:
+        """Command that stops the motors at once, in the air too."""
+        return Command("kill", CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE))
 
     def message_interval(self, message: str, rate_hz: float) -> Command:
         """Command that sets the rate of a stream; at most that often, as the vehicle's clock divides."""
@@ -92,6 +109,17 @@ class Autopilot(ABC):
     def mode_name(self, custom_mode: int) -> str:
         """A mode word for people."""
 
+    tells_home_locally = True
+    """Whether HOME_POSITION says where home is in the vehicle's own frame, too."""
+
+    @abstractmethod
+    def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
+        """Whether somebody's sticks fly it; a failsafe that shows a mode for sticks is none."""
+
+    @abstractmethod
+    def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
+        """Whether its mode says that setpoints are arriving at this very time."""
+
 
 class Px4(Autopilot):
     """PX4: OFFBOARD needs a live stream of setpoints first; climbing by offboard velocity works.
@@ -102,6 +130,10 @@ class Px4(Autopilot):
     name = "px4"
     mav_autopilot = 12  # MAV_AUTOPILOT_PX4
     takes_origin = True
+    params_bytewise = True
+    estimator_message = "ESTIMATOR_STATUS"
+    oldest, tried = (1, 12), (1, 14)
+    failsafes = Px4Failsafes()
     chatter = (
         "ATTITUDE", "HIGHRES_IMU", "ODOMETRY", "ALTITUDE", "VFR_HUD", "POSITION_TARGET_LOCAL_NED", "GPS_RAW_INT",
         "TIMESYNC", "ESTIMATOR_STATUS", "BATTERY_STATUS", "HOME_POSITION", "SYSTEM_TIME",
@@ -143,6 +175,15 @@ class Px4(Autopilot):
             return f"AUTO.{self._AUTO_NAMES.get(sub, sub)}"
         return self._MAIN_NAMES.get(main, f"mode {custom_mode}")
 
+    def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
+        """Any mode but AUTO and OFFBOARD, unless a failsafe acts."""
+        flies_itself = custom_mode >> 16 & 0xFF in (self._MAIN_AUTO, self._MAIN_OFFBOARD)
+        return not flies_itself and system_status < _STATE_CRITICAL
+
+    def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
+        """OFFBOARD lasts as long as its setpoints."""
+        return self.is_streaming_mode(custom_mode) and system_status < _STATE_CRITICAL
+
 
 class ArduCopter(Autopilot):
     """ArduCopter: GUIDED needs a position estimate and no setpoints; only a takeoff command lifts off.
@@ -152,11 +193,15 @@ class ArduCopter(Autopilot):
 
     name = "arducopter"
     mav_autopilot = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
+    estimator_message = "EKF_STATUS_REPORT"
+    oldest, tried = (4, 0), (4, 3)
+    failsafes = ArduCopterFailsafes()
     _GUIDED, _LAND = 4, 9
     _NAMES = {  # noqa: RUF012 - never written to
         0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
         16: "POSHOLD", 17: "BRAKE", 20: "GUIDED_NOGPS", 21: "SMART_RTL",
     }  # fmt: skip
+    _FLIES_ITSELF = frozenset({3, 4, 6, 9, 17, 21})
 
     def takeoff(self, height_m: float) -> Command:
         """NAV_TAKEOFF: the height is above home, which is where it was armed; it must be in GUIDED and armed."""
@@ -185,6 +230,16 @@ class ArduCopter(Autopilot):
     def mode_name(self, custom_mode: int) -> str:
         """For example GUIDED."""
         return self._NAMES.get(custom_mode, f"mode {custom_mode}")
+
+    tells_home_locally = False
+
+    def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
+        """Any mode but those in which it flies by itself."""
+        return custom_mode not in self._FLIES_ITSELF
+
+    def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
+        """Never known: GUIDED hovers on when setpoints end."""
+        return False
 
 
 AUTOPILOTS: dict[str, Autopilot] = {autopilot.name: autopilot for autopilot in (Px4(), ArduCopter())}

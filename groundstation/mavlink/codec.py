@@ -4,13 +4,15 @@ Layouts, sizes and CRC extras are read off pymavlink's generated message classes
 contains ``common``); no wire table is typed here. Values stay in wire units (mm, degE7, ...): whoever knows the
 meaning of a field converts it. A bad packet is returned as bytes that were no frame, never raised.
 
-Refuses to check or make signatures (only their presence is told), and to know any vehicle, socket or clock.
+Refuses to check or make signatures (only their presence is told; see ``signing``), and to know any vehicle, socket or
+clock.
 """
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple
@@ -26,6 +28,7 @@ _HEADER_V1 = 6
 _HEADER_V2 = 10
 _CRC_BYTES = 2
 _SIGNATURE_BYTES = 13
+_MAGIC = re.compile(b"[\xfd\xfe]")
 INCOMPAT_SIGNED = 0x01
 
 StructuredArray = NDArray[np.void]
@@ -172,7 +175,8 @@ class FrameSplitter:
     The pieces that ``feed`` returns, joined in order (``raw`` of the frames), are the bytes that went in, but for
     what a stream still holds back because its frame is not complete. Where a checksum fails, the search goes on at
     the very next byte, so that noise never takes a good frame with it. A frame with an id that the dialect does not
-    know has no checksum we could test: it is taken by its length when a frame starts behind it or nothing follows.
+    know has no checksum we could test: it is taken by its length when a frame starts behind it or nothing follows, and
+    no frame whose checksum is right begins inside it.
 
     Args:
         datagrams: True when frames never span two calls (UDP); what is incomplete at the end of a call is noise then.
@@ -197,13 +201,14 @@ class FrameSplitter:
         position = noise_start = 0
         end = len(buffer)
         while position < end:
-            frame = None
-            if buffer[position] in (MAGIC_V2, MAGIC_V1):
-                frame = _frame_at(buffer, position)
-                if frame is _INCOMPLETE:
-                    if not self._datagrams:
-                        break
-                    frame = None
+            magic = _MAGIC.search(buffer, position)
+            if magic is None:
+                position = end
+                break
+            position = magic.start()
+            frame = _frame_at(buffer, position, more=not self._datagrams)
+            if frame is _INCOMPLETE and not self._datagrams:
+                break
             if isinstance(frame, Frame):
                 if noise_start < position:
                     pieces.append(buffer[noise_start:position])
@@ -218,11 +223,48 @@ class FrameSplitter:
         return pieces
 
 
+def whole_frame(raw: bytes) -> Frame | None:
+    """Reads bytes that are one frame and nothing else; None when they are not."""
+    frame = _frame_at(raw, 0) if raw and raw[0] in (MAGIC_V1, MAGIC_V2) else None
+    return frame if isinstance(frame, Frame) and len(frame.raw) == len(raw) else None
+
+
+class Splitters:
+    """One splitter for every source whose frames may come in pieces, and a bound on what they take.
+
+    Datagrams are whole, so that nothing has to be kept of who sends them, however many there are. Of streams the one
+    that was silent for longest is forgotten for a new one; it loses at most the frame that it was in the middle of.
+
+    Args:
+        most: streams that are kept apart.
+    """
+
+    def __init__(self, most: int = 256) -> None:
+        self._most = most
+        self._whole = FrameSplitter()
+        self._streams: dict[Hashable, FrameSplitter] = {}
+
+    def feed(self, source: Hashable, data: bytes, *, stream: bool) -> list[Frame | bytes]:
+        """Takes what arrived from a source; see ``FrameSplitter.feed``."""
+        if not stream:
+            return self._whole.feed(data)
+        splitter = self._streams.pop(source, None)
+        if splitter is None:
+            splitter = FrameSplitter(datagrams=False)
+            if len(self._streams) >= self._most:
+                del self._streams[next(iter(self._streams))]
+        self._streams[source] = splitter  # last in the order, as the one heard most recently
+        return splitter.feed(data)
+
+
 _INCOMPLETE = object()
 
 
-def _frame_at(buffer: bytes, start: int) -> Frame | object | None:
-    """Reads the frame that starts with the magic byte at ``start``; None when there is none, or _INCOMPLETE."""
+def _frame_at(buffer: bytes, start: int, *, more: bool = False) -> Frame | object | None:
+    """Reads the frame that starts with the magic byte at ``start``; None when there is none, or _INCOMPLETE.
+
+    ``more`` says that further bytes may follow those of the buffer.
+    """
     available = len(buffer) - start
     if buffer[start] == MAGIC_V2:
         if available < _HEADER_V2:
@@ -245,10 +287,46 @@ def _frame_at(buffer: bytes, start: int) -> Frame | object | None:
     if extra is None:
         if frame_end < len(buffer) and buffer[frame_end] not in (MAGIC_V1, MAGIC_V2):
             return None
+        for magic in _MAGIC.finditer(buffer, start + 1, frame_end):
+            inner = _checked_at(buffer, magic.start())
+            if isinstance(inner, Frame):
+                return None  # noise before a good frame
+            if inner is _INCOMPLETE and more:
+                return _INCOMPLETE  # it may become one
     elif crc16.mcrf4xx(buffer[start + 1 : body_end] + extra) != buffer[body_end] | buffer[body_end + 1] << 8:
         return None
     payload = buffer[start + header : body_end]
     return Frame(msgid, sysid, compid, seq, payload, buffer[start:frame_end], version, signed)
+
+
+def flagged(raw: bytes, *, signed: bool) -> bytes:
+    """A MAVLink 2 frame with its signature flag set or cleared, the checksum that belongs to that, no signature.
+
+    Args:
+        raw: a whole frame, signed or not. MAVLink 1 and ids that the dialect does not know come back as they are.
+        signed: what the flag shall say; the signature itself is the caller's to append.
+    """
+    if raw[0] != MAGIC_V2:
+        return raw
+    extra = _crc_extra_bytes().get(int.from_bytes(raw[7:10], "little"))
+    if extra is None:
+        return raw
+    body_end = _HEADER_V2 + raw[1]
+    flags = raw[2] | INCOMPAT_SIGNED if signed else raw[2] & ~INCOMPAT_SIGNED
+    if flags == raw[2]:
+        return raw[: body_end + _CRC_BYTES]
+    body = raw[1:2] + bytes((flags,)) + raw[3:body_end]
+    checksum: int = crc16.mcrf4xx(body + extra)
+    return raw[:1] + body + checksum.to_bytes(2, "little")
+
+
+def _checked_at(buffer: bytes, start: int) -> Frame | object | None:
+    """The same for frames alone whose checksum can be tested; _INCOMPLETE for what may become one of them."""
+    id_bytes = buffer[start + 7 : start + 10] if buffer[start] == MAGIC_V2 else buffer[start + 5 : start + 6]
+    whole_header = len(id_bytes) == (3 if buffer[start] == MAGIC_V2 else 1)
+    if whole_header and int.from_bytes(id_bytes, "little") not in _crc_extra_bytes():
+        return None
+    return _frame_at(buffer, start)
 
 
 def decode(frames: Sequence[Frame]) -> list[Batch]:

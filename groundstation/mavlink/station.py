@@ -14,8 +14,9 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
-from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, encode_batch
+from groundstation.mavlink.codec import Encoder, Frame, Splitters, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue
+from groundstation.mavlink.params import ParamDesk, ParamQuestion
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
 
 GROUND_STATION_SYSID = 255
@@ -24,7 +25,6 @@ _HEARTBEAT_NS = 1_000_000_000
 _TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
 _TIMESYNC_EAGER_NS, _TIMESYNC_NS = 200_000_000, 2_000_000_000
 _TIMESYNC_ENOUGH = 10  # round trips after which there is no hurry
-_PEERS_MAX = 1000  # addresses whose streams are kept apart; a flood of new ones cannot take the memory
 
 
 class Outgoing(NamedTuple):
@@ -50,10 +50,11 @@ class Station:
     ) -> None:
         self.fleet = fleet
         self.commands = CommandQueue(len(fleet))
+        self.parameters = ParamDesk(len(fleet))
         self.setpoints_sent = 0
         self._start_ns = start_ns
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._splitters: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
         self._received: list[ReceivedFrame] = []
         self._next_heartbeat_ns = start_ns
         self._next_timesync_ns = start_ns
@@ -69,13 +70,7 @@ class Station:
             data: as received.
             t_rx_ns: when.
         """
-        splitter = self._splitters.get((link, peer))
-        if splitter is None:
-            if len(self._splitters) >= _PEERS_MAX:
-                self.fleet.counts["datagram from one address too many"] += 1
-                return
-            splitter = self._splitters[link, peer] = FrameSplitter(datagrams=link not in self._streams)
-        for piece in splitter.feed(data):
+        for piece in self._splitters.feed((link, peer), data, stream=link in self._streams):
             if isinstance(piece, Frame):
                 self._received.append(ReceivedFrame(piece, link, peer, t_rx_ns))
             else:
@@ -88,6 +83,8 @@ class Station:
             self.fleet.ingest(received)
         for ack in self.fleet.take_acks():
             self.commands.acknowledge(ack)
+        for value in self.fleet.take_param_values():
+            self.parameters.take(value)
 
     def send(self, vehicle: int, message: str, **fields: Any) -> None:
         """Puts one message, fields in wire units, into the next ``transmit``."""
@@ -126,6 +123,8 @@ class Station:
                     **params,
                 )
             )
+        for question in self.parameters.due(now_ns):
+            frames[question.vehicle].append(self._question(question))
         for vehicle, raw in self._extra:
             frames[vehicle].append(raw)
         self._extra.clear()
@@ -143,6 +142,16 @@ class Station:
             if peer_or_none is not None and frames[vehicle]:
                 outgoing.append(Outgoing(int(fleet.link[vehicle]), peer_or_none, tuple(frames[vehicle])))
         return outgoing
+
+    def _question(self, question: ParamQuestion) -> bytes:
+        target = {
+            "target_system": int(self.fleet.sysid[question.vehicle]),
+            "target_component": AUTOPILOT_COMPID,
+            "param_id": question.name,
+        }
+        if question.bits is None:
+            return self._encoder.encode("PARAM_REQUEST_READ", **target, param_index=-1)
+        return self._encoder.encode("PARAM_SET", **target, param_value=question.as_float, param_type=question.kind)
 
     def _one_per_peer(self) -> list[int]:
         """The first vehicle of every address that was heard from."""

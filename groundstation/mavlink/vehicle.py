@@ -11,7 +11,7 @@ as far as its clock is known (``clocks``). Unknown is NaN, ``NEVER`` or ``UNKNOW
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.clocks import BootTimes, Clocks
-from groundstation.mavlink.codec import Batch, Frame, decode, message_id
+from groundstation.mavlink.codec import Batch, Frame, decode, message_id, message_name
+from groundstation.mavlink.params import ParamValue
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -29,6 +30,7 @@ UNKNOWN = -1
 AUTOPILOT_COMPID = 1
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
+_VOLTAGE_UNKNOWN = 65_535
 _TYPE_GCS = 6  # MAV_TYPE_GCS
 _HEARTBEAT = message_id("HEARTBEAT")
 _PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from another address
@@ -107,6 +109,8 @@ class Fleet:
         place_ns: when that was measured, shape (n,).
         origin_deg_m: the estimator's origin as the newest GPS_GLOBAL_ORIGIN tells it, NaN before, shape (n, 3).
         origin_ns: its arrival, shape (n,).
+        home_deg_m: where the vehicle took off, on earth, as HOME_POSITION tells it, NaN before, shape (n, 3).
+        home_local_ned_m: the same in its own frame, shape (n, 3); zeros from autopilots that leave it out.
         origin_moved_ns: arrival of the last origin that differed from the one before, shape (n,).
         origin_moved_m: by how much, shape (n,).
         quat_ned_from_frd: newest valid attitude, w x y z, w >= 0, NaN before, shape (n, 4).
@@ -118,6 +122,14 @@ class Fleet:
         prearm_ok: the autopilot's own arming checks pass, shape (n,).
         status_ns: arrival of the last SYS_STATUS, shape (n,).
         battery_remaining: 0 to 1, NaN when not reported, shape (n,).
+        battery_v: voltage of the pack, NaN when not reported, shape (n,).
+        sensors_enabled: MAV_SYS_STATUS_SENSOR bits in use, shape (n,).
+        sensors_healthy: those of them that are well, shape (n,).
+        estimator_flags: ESTIMATOR_STATUS_FLAGS or EKF_STATUS_FLAGS, which agree in what is used here; UNKNOWN before,
+            shape (n,).
+        estimator_ns: their arrival, shape (n,).
+        firmware: flight_sw_version of AUTOPILOT_VERSION: major, minor, patch, type, a byte each; UNKNOWN before,
+            shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
     """
 
@@ -140,6 +152,8 @@ class Fleet:
         self.place_ns = _times(n)
         self.origin_deg_m: FloatArray = np.full((n, 3), np.nan)
         self.origin_ns = _times(n)
+        self.home_deg_m: FloatArray = np.full((n, 3), np.nan)
+        self.home_local_ned_m: FloatArray = np.full((n, 3), np.nan)
         self.origin_moved_ns = _times(n)
         self.origin_moved_m: FloatArray = np.zeros(n)
         self.quat_ned_from_frd: FloatArray = np.full((n, 4), np.nan)
@@ -148,6 +162,12 @@ class Fleet:
         self.prearm_ok: BoolArray = np.zeros(n, dtype=np.bool_)
         self.status_ns = _times(n)
         self.battery_remaining: FloatArray = np.full(n, np.nan)
+        self.battery_v: FloatArray = np.full(n, np.nan)
+        self.sensors_enabled: IntArray = np.zeros(n, dtype=np.int64)
+        self.sensors_healthy: IntArray = np.zeros(n, dtype=np.int64)
+        self.estimator_flags = _unknowns(n)
+        self.estimator_ns = _times(n)
+        self.firmware = _unknowns(n)
         self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
         self.clocks = Clocks(n)
         self.restarts: IntArray = np.zeros(n, dtype=np.int64)
@@ -155,12 +175,15 @@ class Fleet:
         self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
         self._acks: list[Ack] = []
         self._texts: list[Text] = []
+        self._params: list[ParamValue] = []
         self._timesync: list[TimesyncRequest] = []
         self._quaternion_ns = _times(n)
         self._position_times, self._place_times, self._attitude_times = BootTimes(n), BootTimes(n), BootTimes(n)
         self._pieces: dict[int, tuple[int, dict[int, bytes]]] = {}
         self._rivals: list[tuple[str, int] | None] = [None] * n
         self._elsewhere: dict[tuple[int, int], int] = {}
+        self._held = False
+        self._signed: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
         """Number of vehicles, n."""
@@ -176,7 +199,9 @@ class Fleet:
         rows: list[int] = []
         for item in received:
             row = self._row_of.get(item.frame.sysid)
-            if row is None:
+            if message_name(item.frame.msgid) is None:  # its checksum cannot be known: it may be noise
+                self.counts["unknown message"] += 1
+            elif row is None:
                 self.counts["unknown system"] += 1
                 if item.frame.compid == AUTOPILOT_COMPID and len(self._elsewhere) < _ELSEWHERE_MAX:
                     self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
@@ -200,15 +225,34 @@ class Fleet:
                 handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
 
     def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
-        """Whether a frame comes from where the vehicle is; it may move only after a silence."""
-        if self.peer[row] != item.peer:
-            if self.peer[row] is not None and item.t_rx_ns - int(self.heard_ns[row]) < _PEER_SILENT_NS:
+        """Whether a frame comes from where the vehicle is; that may move after a silence only, in the air not far."""
+        known = self.peer[row]
+        if known != item.peer:
+            silent = item.t_rx_ns - int(self.heard_ns[row]) >= _PEER_SILENT_NS
+            if known is not None and not (silent and self._may_move(row, known, item.peer)):
                 if item.frame.msgid == _HEARTBEAT:
                     self._rivals[row] = (item.peer, item.t_rx_ns)
                 return False
             self.peer[row] = item.peer
         self.heard_ns[row] = item.t_rx_ns
         return True
+
+    def hold_addresses(self, signed: Collection[int] = ()) -> None:
+        """From now on vehicles stay where they are: nobody else takes over the name of one that fell silent.
+
+        Another port of the same host is let in still (a router that started anew), and anybody on links on which only
+        those who have the key are heard at all.
+
+        Args:
+            signed: links that are signed.
+        """
+        self._held = True
+        self._signed = frozenset(signed)
+
+    def _may_move(self, row: int, known: str, peer: str) -> bool:
+        if not self._held or int(self.link[row]) in self._signed:
+            return True
+        return known.rpartition(":")[0] == peer.rpartition(":")[0]
 
     def twin(self, vehicle: int, now_ns: int) -> str | None:
         """Tells of a second vehicle that speaks under this one's system id; None when there is none."""
@@ -265,6 +309,11 @@ class Fleet:
         texts, self._texts = self._texts, []
         return texts
 
+    def take_param_values(self) -> list[ParamValue]:
+        """Hands out the parameters told since the last call."""
+        values, self._params = self._params, []
+        return values
+
     def take_timesync_requests(self) -> list[TimesyncRequest]:
         """Hands out the questions for our clock since the last call."""
         requests, self._timesync = self._timesync, []
@@ -298,6 +347,7 @@ class Fleet:
         self.clocks.forget(vehicle)
         self.origin_deg_m[vehicle] = np.nan
         self.origin_ns[vehicle] = NEVER
+        self.home_deg_m[vehicle] = self.home_local_ned_m[vehicle] = np.nan
         self.prearm_ok[vehicle] = False
 
     def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
@@ -339,6 +389,15 @@ class Fleet:
             self.origin_deg_m[vehicle] = place
             self.origin_ns[vehicle] = t
 
+    def _home(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+        values = batch.values
+        known = (values["latitude"] != 0) | (values["longitude"] != 0)
+        places = _place(values["latitude"], values["longitude"], values["altitude"])
+        self.home_deg_m[row[known]] = places[known]
+        local = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
+        number = np.isfinite(local).all(axis=1)
+        self.home_local_ned_m[row[number]] = local[number]
+
     def origin_unsteady(self, vehicle: int, now_ns: int) -> bool:
         """Whether the vehicle's origin has moved in the last ten seconds."""
         return now_ns - int(self.origin_moved_ns[vehicle]) < _ORIGINS_NS
@@ -379,7 +438,26 @@ class Fleet:
         self.battery_remaining[row] = np.where(
             values["battery_remaining"] < 0, np.nan, values["battery_remaining"].astype(np.float64) / 100.0
         )
+        millivolts = values["voltage_battery"].astype(np.float64)
+        self.battery_v[row] = np.where((millivolts == 0) | (millivolts == _VOLTAGE_UNKNOWN), np.nan, millivolts * 1e-3)
+        self.sensors_enabled[row] = values["onboard_control_sensors_enabled"]
+        self.sensors_healthy[row] = values["onboard_control_sensors_health"]
         self.status_ns[row] = t_ns
+
+    def _estimator(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        self.estimator_flags[row] = batch.values["flags"]
+        self.estimator_ns[row] = t_ns
+
+    def _version(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+        self.firmware[row] = batch.values["flight_sw_version"]
+
+    def _param_value(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        bits = np.ascontiguousarray(batch.values["param_value"]).view(np.uint32)  # never by way of another float
+        for values, value_bits, vehicle, t in zip(
+            batch.values, bits.tolist(), row.tolist(), t_ns.tolist(), strict=True
+        ):
+            name = bytes(values["param_id"]).decode("ascii", "replace")
+            self._params.append(ParamValue(vehicle, name, value_bits, int(values["param_type"]), t))
 
     def _extended_state(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
         self.landed_state[row] = batch.values["landed_state"]
@@ -400,7 +478,9 @@ class Fleet:
                     continue
                 data = b"".join(piece for _, piece in sorted(pieces[1].items()))
                 del self._pieces[vehicle]
-            words = data.decode("utf-8", "replace").rstrip("\t\n ")
+            decoded = data.decode("utf-8", "replace").rstrip("\t\n ")
+            # Whatever could move a terminal's cursor or feign another line is not shown.
+            words = "".join(letter if letter.isprintable() else " " for letter in decoded)
             self._texts.append(Text(vehicle, int(values["severity"]), words, t))
 
     def _timesync_message(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
@@ -416,10 +496,15 @@ _HANDLERS = {
     "LOCAL_POSITION_NED": Fleet._local_position,
     "GLOBAL_POSITION_INT": Fleet._global_position,
     "GPS_GLOBAL_ORIGIN": Fleet._origin,
+    "HOME_POSITION": Fleet._home,
     "ATTITUDE_QUATERNION": Fleet._attitude_quaternion,
     "ATTITUDE": Fleet._attitude_euler,
     "SYS_STATUS": Fleet._sys_status,
     "EXTENDED_SYS_STATE": Fleet._extended_state,
+    "ESTIMATOR_STATUS": Fleet._estimator,
+    "EKF_STATUS_REPORT": Fleet._estimator,
+    "AUTOPILOT_VERSION": Fleet._version,
+    "PARAM_VALUE": Fleet._param_value,
     "COMMAND_ACK": Fleet._command_ack,
     "STATUSTEXT": Fleet._statustext,
     "TIMESYNC": Fleet._timesync_message,

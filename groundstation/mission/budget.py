@@ -13,6 +13,7 @@ from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import layout
 
 _OVERHEAD_BYTES = 12  # header and checksum of MAVLink 2
+_SIGNATURE_BYTES = 13
 _USABLE = 0.8  # of what the wire carries: bursts, repetitions and texts want room
 _POSE_MIN_HZ, _SETPOINT_MIN_HZ = 8.0, 5.0
 """The authors needed 10 Hz or more of positions; 8 Hz is what is left of that with a fifth lost. PX4 takes less than
@@ -86,13 +87,9 @@ class LinkRates:
         return CROSS_CHECK_LEAN_HZ if self.lean else CROSS_CHECK_HZ
 
 
-def frame_bytes(message: str) -> int:
+def frame_bytes(message: str, *, signed: bool = False) -> int:
     """Size of a message on the wire as it is usually sent."""
-    return _SIZES.get(message, layout(message).size) + _OVERHEAD_BYTES
-
-
-def _sum(rates: Mapping[str, float]) -> float:
-    return sum(frame_bytes(name) * rate for name, rate in rates.items())
+    return _SIZES.get(message, layout(message).size) + _OVERHEAD_BYTES + (_SIGNATURE_BYTES if signed else 0)
 
 
 def fit_rates(
@@ -104,6 +101,7 @@ def fit_rates(
     setpoint_hz: float,
     position: str,
     cross_check: bool = False,
+    signed: bool = False,
 ) -> LinkRates:
     """Fits the rates of a link's vehicles to what it carries.
 
@@ -117,11 +115,12 @@ def fit_rates(
         setpoint_hz: wanted rate of setpoints.
         position: message type that positions come in.
         cross_check: the other position message is asked for as well.
+        signed: every frame bears a signature.
 
     Raises:
         UserError: what fits is too slow to be flown with.
     """
-    rates = _fit(vehicles, limit_bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check)
+    rates = _fit(vehicles, limit_bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check, signed=signed)
     for name, rate, least in (
         ("positions", rates.pose_hz, _POSE_MIN_HZ),
         ("setpoints", rates.setpoint_hz, _SETPOINT_MIN_HZ),
@@ -129,7 +128,7 @@ def fit_rates(
         if rate < least:
 
             def fits(count: int, bytes_s: float) -> bool:
-                fit = _fit(count, bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check)
+                fit = _fit(count, bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check, signed=signed)
                 return fit.pose_hz >= _POSE_MIN_HZ and fit.setpoint_hz >= _SETPOINT_MIN_HZ
 
             able = max((count for count in range(1, vehicles) if fits(count, limit_bytes_s)), default=0)
@@ -144,29 +143,43 @@ def fit_rates(
 
 
 def _fit(
-    vehicles: int, limit_bytes_s: float, pose_hz: float, setpoint_hz: float, position: str, *, cross_check: bool
+    vehicles: int,
+    limit_bytes_s: float,
+    pose_hz: float,
+    setpoint_hz: float,
+    position: str,
+    *,
+    cross_check: bool,
+    signed: bool,
 ) -> LinkRates:
     """What fits, however little."""
     usable = _USABLE * limit_bytes_s
-    position_bytes, attitude_bytes = frame_bytes(position), frame_bytes("ATTITUDE_QUATERNION")
+
+    def size(message: str) -> int:
+        return frame_bytes(message, signed=signed)
+
+    def total(rates: Mapping[str, float]) -> float:
+        return sum(size(name) * rate for name, rate in rates.items())
+
+    position_bytes, attitude_bytes = size(position), size("ATTITUDE_QUATERNION")
     other = "LOCAL_POSITION_NED" if position == "GLOBAL_POSITION_INT" else "GLOBAL_POSITION_INT"
-    other_bytes = frame_bytes(other) if cross_check else 0
-    slow = _sum(_UNASKED) + _sum(STATUS_NARROW_HZ) + CROSS_CHECK_HZ * other_bytes
+    other_bytes = size(other) if cross_check else 0
+    slow = total(_UNASKED) + total(STATUS_NARROW_HZ) + CROSS_CHECK_HZ * other_bytes
     fits_hz = (usable / vehicles - slow) / (position_bytes + attitude_bytes)
     lean = fits_hz < min(_POSE_ENOUGH_HZ, pose_hz)
     pose = attitude = min(pose_hz, fits_hz)
     if lean:
         attitude = _ATTITUDE_LEAN_HZ
-        slow = _sum(_UNASKED) + _sum(STATUS_LEAN_HZ) + CROSS_CHECK_LEAN_HZ * other_bytes
+        slow = total(_UNASKED) + total(STATUS_LEAN_HZ) + CROSS_CHECK_LEAN_HZ * other_bytes
         pose = min(pose_hz, (usable / vehicles - slow - attitude * attitude_bytes) / position_bytes)
-    setpoint_bytes = frame_bytes("SET_POSITION_TARGET_LOCAL_NED")
-    setpoint = min(setpoint_hz, ((usable - _sum(_SHARED_UP)) / vehicles - _sum(_UP)) / setpoint_bytes)
+    setpoint_bytes = size("SET_POSITION_TARGET_LOCAL_NED")
+    setpoint = min(setpoint_hz, ((usable - total(_SHARED_UP)) / vehicles - total(_UP)) / setpoint_bytes)
     return LinkRates(
         pose_hz=pose,
         attitude_hz=attitude,
         setpoint_hz=setpoint,
         down_bytes_s=vehicles * (slow + pose * position_bytes + attitude * attitude_bytes),
-        up_bytes_s=_sum(_SHARED_UP) + vehicles * (_sum(_UP) + setpoint * setpoint_bytes),
+        up_bytes_s=total(_SHARED_UP) + vehicles * (total(_UP) + setpoint * setpoint_bytes),
         limit_bytes_s=limit_bytes_s,
         narrow=lean or pose < pose_hz or setpoint < setpoint_hz,
         lean=lean,

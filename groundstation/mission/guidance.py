@@ -6,20 +6,29 @@ agent's own view. Keeps no state but the last setpoints, whose slope is limited.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.avoidance import SafetySphere, avoid
+from groundstation.core.avoidance import avoid
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
+from groundstation.core.gridlock import Sensed
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.motion import Motion
+from groundstation.core.near import near_views
+from groundstation.core.places import Places, own_places
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.profiles import approach_rate_1_s
+from groundstation.mission.stages import Stage
 
+_NOBODY: FloatArray = np.zeros(0)
+"""Stands for zeros of whatever size is right."""
+_MANY = 64
+"""From so many vehicles on it is quicker to look for those near each than to look at all pairs."""
 _LEVEL_MIN_M = 1e-3  # nearer than that there is no direction to leave in
 
 
@@ -32,12 +41,23 @@ class Poses:
         vel_ned_m_s: shape (n, 3).
         quat_ned_from_frd: shape (n, 4).
         sinking: not steered by us, or its position is lost: it may come down anywhere below, shape (n,).
+        extra_radius_m: what is added to r around a vehicle that nobody steers, so that the others do both halves of
+            every manoeuvre, shape (n,), >= 0; zero for those we steer. Zeros when left out.
     """
 
     pos_team_ned_m: FloatArray
     vel_ned_m_s: FloatArray
     quat_ned_from_frd: FloatArray
     sinking: BoolArray
+    extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
+
+    def __post_init__(self) -> None:
+        """Fills in what was left out, and refuses radii of the wrong size."""
+        n = len(self.pos_team_ned_m)
+        if self.extra_radius_m is _NOBODY:
+            object.__setattr__(self, "extra_radius_m", np.zeros(n))
+        elif self.extra_radius_m.shape != (n,):
+            raise ValueError(f"poses: extra radii have shape {self.extra_radius_m.shape}, expected ({n},)")
 
 
 @dataclass(frozen=True)
@@ -47,10 +67,35 @@ class Setpoints:
     Attributes:
         vel_ned_m_s: within all limits, shape (n, 3).
         blocked: the agent wanted to move and found no free direction, shape (n,).
+        sensed: what each agent knows of itself, for ``core.gridlock``.
+        room: share of a commanded common motion that the fence leaves to all agents, 0 to 1.
     """
 
     vel_ned_m_s: FloatArray
     blocked: BoolArray
+    sensed: Sensed
+    room: float = 1.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """What the team is about, beyond its task.
+
+    Attributes:
+        stage: the formation under way, with its gains and its law.
+        control_gain: k that multiplies (14), for the size that the formation has at the moment.
+        points_by_agent_m: the point of each agent's role at its present size, ENU, shape (n, 3).
+        detour_enu_m_s: what agents on a detour wish instead of their law, NaN for all others, shape (n, 3).
+        motion: what the formation does as one; None at rest.
+        present: the part of it that shows in velocities already.
+    """
+
+    stage: Stage
+    control_gain: float
+    points_by_agent_m: FloatArray
+    detour_enu_m_s: FloatArray | None = None
+    motion: Motion | None = None
+    present: Motion | None = None
 
 
 class Guide:
@@ -65,10 +110,8 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What two positions may be off against each other is added to r and d: then true distances stay above r.
-        off_diagonal = ~np.eye(plan.size, dtype=np.bool_)
-        shortest_m = float(plan.formation.distances_m[off_diagonal].min())
-        margin_m = fitting_margin_m(plan.margin_m, spec.avoidance.radius_m, shortest_m)
-        self._region = SafetySphere(spec.avoidance.radius_m + margin_m, spec.avoidance.activation_m + margin_m)
+        margin_m = fitting_margin_m(plan.margin_m, plan.room_m)
+        self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
             margin_m=margin_m,
@@ -77,10 +120,12 @@ class Guide:
             tick_s=self._period_s,
             speed_limit_m_s=spec.speed_limit_m_s,
             accel_limit_m_s2=profile.acceleration_max_m_s2,
+            region=plan.region,
         )
         # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.
         closing_m = 2.0 * spec.speed_limit_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
-        self._reach_m = max(self._region.activation_m, spec.avoidance.radius_m + self._damper.margin_m + closing_m)
+        widest = self._region.activation_m / self._region.radius_m
+        self._reach_m = max(widest * self._region.reach_m(0.0), self._region.reach_m(closing_m))
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
         self._target_rate_1_s = approach_rate_1_s(profile, plan.lead_s)
@@ -94,44 +139,128 @@ class Guide:
         """Forgets the last setpoints: everybody was told to stand still."""
         self._previous_ned_m_s = np.zeros((self._plan.size, 3))
 
-    def formation(self, poses: Poses, task: Task, control_gain: float) -> Setpoints:
-        """One tick of (14) with avoidance, above the floor of formation flight."""
-        views = self._views(poses, task.neighbours)
-        wish = formation_control(
-            views,
-            task,
-            self._plan.scale,
-            control_gain,
-            lead_s=self._plan.lead_s,
-            upright_1_s=self._plan.upright_1_s,
-        )
-        return self._finish(poses, views, wish, self._formation_box)
+    @property
+    def keep_out_m(self) -> float:
+        """Distance that agents keep from each other, margin included."""
+        return self._damper.radius_m + self._damper.margin_m
 
-    def to_targets(self, poses: Poses, target_team_ned_m: FloatArray) -> Setpoints:
+    @property
+    def settle_s(self) -> float:
+        """Lag and delay of the slowest vehicle."""
+        return self._stopping_s
+
+    def formation(self, poses: Poses, task: Task, course: Course) -> Setpoints:
+        """One tick of (14) with avoidance, above the floor of formation flight."""
+        if self._plan.size >= _MANY:
+            views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
+        else:
+            views = self._views(poses, task.neighbours)
+        stage, motion = course.stage, course.motion
+        seen, common_enu = views, None
+        if motion is not None:
+            places = self._places(poses, views, course)
+            common_enu = motion.rigid(places.from_centre_m)
+            if course.present is not None:
+                seen = self._without(poses, views, course.present)
+        wish = formation_control(
+            seen,
+            task,
+            stage.scale,
+            course.control_gain,
+            lead_s=self._plan.lead_s,
+            upright_1_s=stage.upright_1_s,
+        )
+        if motion is not None:
+            grown = motion.growth_1_s * places.from_centre_m
+            wish = wish + _flu_from_enu(poses, grown)
+        if self._plan.size >= _MANY:
+            views = self._near_views(poses)
+        return self._finish(
+            poses,
+            views,
+            wish,
+            self._formation_box,
+            detour_enu_m_s=course.detour_enu_m_s,
+            common_enu_m_s=common_enu,
+        )
+
+    def _places(self, poses: Poses, views: LocalViews, course: Course) -> Places:
+        """What each agent makes of its view, in its own level axes."""
+        rel_enu_m = _enu_from_flu(poses, views.rel_pos_flu_m)
+        free = course.stage.scale.kind == "free"
+        return own_places(rel_enu_m, views.visible, course.points_by_agent_m, free_scale=free)
+
+    def _without(self, poses: Poses, views: LocalViews, motion: Motion) -> LocalViews:
+        """Views without the common motion in relative velocities: the lead of the law is for what is not wanted."""
+        expected_enu = motion.relative(_enu_from_flu(poses, views.rel_pos_flu_m))
+        rot = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        expected_flu = frames.rotate_back(rot[:, None], frames.ned_from_enu(expected_enu))
+        return replace(views, rel_vel_flu_m_s=views.rel_vel_flu_m_s - expected_flu)
+
+    def to_targets(
+        self, poses: Poses, target_team_ned_m: FloatArray, detour_enu_m_s: FloatArray | None = None
+    ) -> Setpoints:
         """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground."""
-        views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
+        if self._plan.size >= _MANY:
+            views = self._near_views(poses)
+        else:
+            views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
         wish = self._target_rate_1_s * frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned)
-        return self._finish(poses, views, wish, self._fence)
+        return self._finish(poses, views, wish, self._fence, detour_enu_m_s=detour_enu_m_s)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
-        """What each agent sees: its neighbours, and whoever is near enough to hit.
+        """What each agent sees: its neighbours, and whoever is near enough to hit."""
+        everybody = np.broadcast_to(np.arange(self._plan.size), neighbours.shape)
+        offset_ned, under = self._shown(poses, everybody)
+        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_of(poses) ** 2
+        views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        return self._with_obstacles(poses, views, everybody, offset_ned, under)
+
+    def _near_views(self, poses: Poses) -> LocalViews:
+        """What each agent of a large team sees that is near enough to hit: a column for each of those, and no other."""
+        special = np.flatnonzero(poses.sinking | (poses.extra_radius_m > 0.0))
+        others = None
+        if special.size:
+            columns = np.broadcast_to(special, (self._plan.size, special.size))
+            offset_ned, _ = self._shown(poses, columns)
+            reach_m = np.broadcast_to(self._reach_of(poses), (1, self._plan.size))[:, special]
+            others = np.zeros((self._plan.size, self._plan.size), dtype=np.bool_)
+            others[:, special] = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < reach_m**2
+        near = near_views(
+            poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, self._reach_m, others=others
+        )
+        offset_ned, under = self._shown(poses, near.who)
+        return self._with_obstacles(poses, near.views, near.who, offset_ned, under)
+
+    def _shown(self, poses: Poses, who: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Where others are taken to be, from each agent: offsets NED (n, k, 3) to ``who`` (n, k), and whom that moves.
 
         A vehicle that is not steered by us may be coming down, and one whose position is lost may be anywhere below
         where it was last seen: those below see it at their own height, so that they leave the column under it. It
         does its half of no manoeuvre: inside the radius it is shown twice as deep inside, so that they do both halves.
+        Around a vehicle with an extra radius they do so by themselves.
         """
-        offset_ned = poses.pos_team_ned_m[None, :] - poses.pos_team_ned_m[:, None]
-        under = poses.sinking[None, :] & (offset_ned[..., 2] < 0.0)
+        offset_ned = poses.pos_team_ned_m[who] - poses.pos_team_ned_m[:, None]
+        under = np.asarray(poses.sinking[who] & (offset_ned[..., 2] < 0.0), dtype=np.bool_)
         offset_ned[..., 2] = np.where(under, 0.0, offset_ned[..., 2])
         if under.any():
             keep_out_m = self._damper.radius_m + self._damper.margin_m
             beside_m = np.maximum(np.linalg.norm(offset_ned, axis=2), _LEVEL_MIN_M)
             shown_m = np.clip(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
-            offset_ned *= np.where(under, shown_m / beside_m, 1.0)[..., None]
-        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_m**2
-        views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+            steered = poses.extra_radius_m[who] == 0.0
+            offset_ned *= np.where(under & steered, shown_m / beside_m, 1.0)[..., None]
+        return offset_ned, under
+
+    def _with_obstacles(
+        self, poses: Poses, views: LocalViews, who: IntArray, offset_ned: FloatArray, under: BoolArray
+    ) -> LocalViews:
+        """Views with the extra radii of obstacles, and with those that may come down where they are taken to be."""
+        if poses.extra_radius_m.any():
+            # From where it is itself, an obstacle has nobody to make room for.
+            extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[who])
+            views = replace(views, extra_m=extra_m)
         if not under.any():
             return views
         rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
@@ -139,14 +268,49 @@ class Guide:
         shown = (under & views.visible)[..., None]
         return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
 
-    def _finish(self, poses: Poses, views: LocalViews, wish_flu_m_s: FloatArray, box: Fence) -> Setpoints:
+    def _reach_of(self, poses: Poses) -> FloatArray | float:
+        """How far each vehicle has to be seen by the others: farther where it is an obstacle, or a fast one."""
+        if not poses.extra_radius_m.any():
+            return self._reach_m
+        speed_m_s = np.nan_to_num(np.linalg.norm(poses.vel_ned_m_s, axis=1))
+        faster_m_s = np.maximum(speed_m_s - self._plan.spec.speed_limit_m_s, 0.0)
+        farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
+        return self._reach_m + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
+
+    def _finish(
+        self,
+        poses: Poses,
+        views: LocalViews,
+        wish_flu_m_s: FloatArray,
+        box: Fence,
+        *,
+        detour_enu_m_s: FloatArray | None = None,
+        common_enu_m_s: FloatArray | None = None,
+    ) -> Setpoints:
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
-        avoided = avoid(views, saturate(wish_flu_m_s, speed_max), self._region)
         # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.
         ahead_ned_m = poses.pos_team_ned_m + self._stopping_s * poses.vel_ned_m_s
-        normals_flu, bounds_m_s = walls(rot_ned_from_flu, *fence_bounds(ahead_ned_m, box, self._approach_rate_1_s))
-        damped = damp(views, avoided.vel_flu_m_s, self._damper, normals_flu, bounds_m_s)
+        low_m_s, high_m_s = fence_bounds(ahead_ned_m, box, self._approach_rate_1_s)
+        wish_flu_m_s = saturate(wish_flu_m_s, speed_max)
+        if detour_enu_m_s is not None:
+            detour_flu_m_s = _flu_from_enu(poses, detour_enu_m_s)
+            wish_flu_m_s = np.where(np.isfinite(detour_flu_m_s), detour_flu_m_s, wish_flu_m_s)
+        common_flu, room = None, 1.0
+        if common_enu_m_s is None:
+            avoided = avoid(views, wish_flu_m_s, self._region)
+            wanted_flu_m_s = avoided.vel_flu_m_s
+        else:
+            room = _room(frames.ned_from_enu(common_enu_m_s), low_m_s, high_m_s)
+            common_flu = _flu_from_enu(poses, room * common_enu_m_s)
+            # Directions count from the common motion, which changes no distance; both together keep the speed limit.
+            left = np.maximum(speed_max - np.linalg.norm(common_flu, axis=1), 0.1 * speed_max)
+            size = np.linalg.norm(wish_flu_m_s, axis=1)
+            wish_flu_m_s = wish_flu_m_s * np.minimum(1.0, left / np.maximum(size, 1e-12))[:, None]
+            avoided = avoid(views, wish_flu_m_s, self._region)
+            wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)
+        normals_flu, bounds_m_s = walls(rot_ned_from_flu, low_m_s, high_m_s)
+        damped = damp(views, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)
         vel_ned_m_s = apply_limits(
             frames.rotate(rot_ned_from_flu, damped.vel_flu_m_s),
             self._previous_ned_m_s,
@@ -158,4 +322,34 @@ class Guide:
             fence_rate_1_s=self._approach_rate_1_s,
         )
         self._previous_ned_m_s = vel_ned_m_s
-        return Setpoints(vel_ned_m_s, avoided.blocked | damped.held)
+        corners = [frames.enu_from_ned(np.asarray(c)) for c in (box.min_team_ned_m, box.max_team_ned_m)]
+        pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
+        sensed = Sensed(
+            rel_m=_enu_from_flu(poses, views.rel_pos_flu_m),
+            visible=views.visible,
+            vel_m_s=frames.enu_from_ned(poses.vel_ned_m_s),
+            wish_m_s=_enu_from_flu(poses, wish_flu_m_s),
+            in_the_way=avoided.in_the_way | damped.in_the_way,
+            low_m=np.minimum(*corners) - pos_enu_m,
+            high_m=np.maximum(*corners) - pos_enu_m,
+        )
+        return Setpoints(vel_ned_m_s, avoided.blocked | damped.held, sensed, room)
+
+
+def _room(common_ned_m_s: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> float:
+    """Share of the common motion that no wall forbids to anybody: one who stops would be run into."""
+    towards = np.maximum(common_ned_m_s, 0.0) / np.maximum(high_m_s, 1e-6)
+    towards = np.maximum(towards, np.maximum(-common_ned_m_s, 0.0) / np.maximum(low_m_s, 1e-6))
+    return 1.0 / max(1.0, float(towards.max()))
+
+
+def _enu_from_flu(poses: Poses, vector_flu: FloatArray) -> FloatArray:
+    """Turns each agent's vectors, shape (n, 3) or (n, k, 3), from its tilted body frame into its level axes."""
+    rot = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+    rot = rot if vector_flu.ndim == 2 else rot[:, None]
+    return frames.enu_from_ned(frames.rotate(rot, vector_flu))
+
+
+def _flu_from_enu(poses: Poses, vector_enu: FloatArray) -> FloatArray:
+    """Turns each agent's vectors, shape (n, 3), from level axes into its tilted body frame."""
+    return frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), frames.ned_from_enu(vector_enu))

@@ -1,5 +1,7 @@
 """Brings vehicles down, each when nobody is below it, and knows when the whole team is down.
 
+Landing where they are, a team may hover in layers: whoever has somebody below moves aside first (``clear_spots``).
+
 A vehicle that nobody has heard from for a while cannot be waited for: it is given up as lost, by name, so that the
 ground station ends and says so. One that reports to stand on the ground and sends no heartbeats is named as well:
 whether it is disarmed is not known.
@@ -11,7 +13,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from groundstation.core.types import BoolArray
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.guidance import Poses
@@ -29,11 +31,14 @@ class Landing:
 
     Attributes:
         asked: vehicles that were told to land, shape (n,).
+        here: vehicles that shall land where they are, one by one, while others still fly, shape (n,): nobody may
+            stay under them.
     """
 
     def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
         n = plan.size
         self.asked: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.here: BoolArray = np.zeros(n, dtype=np.bool_)
         self._plan = plan
         self._fleet = fleet
         self._commands = commands
@@ -46,6 +51,12 @@ class Landing:
         for vehicle in vehicles:
             if self._wanted_ns[vehicle] == NEVER:
                 self._wanted_ns[vehicle] = now_ns
+
+    def want_here(self, vehicles: Iterable[int], now_ns: int) -> None:
+        """The same of vehicles that come down while the others fly on: those below are to get out of the way."""
+        vehicles = list(vehicles)
+        self.here[vehicles] = True
+        self.want(vehicles, now_ns)
 
     def step(self, now_ns: int, poses: Poses, released: BoolArray) -> None:
         """Asks those to land who shall, and those to disarm who have stood on the ground for long.
@@ -65,7 +76,7 @@ class Landing:
                 continue
             autopilot = self._plan.autopilots[vehicle]
             if on_ground[vehicle]:
-                if self.asked[vehicle] and now_ns - self._on_ground_since_ns[vehicle] >= _STILL_ARMED_NS:
+                if now_ns - self._on_ground_since_ns[vehicle] >= _STILL_ARMED_NS:
                     self._commands.request(vehicle, autopilot.disarm())
                     self._asked_ns[vehicle] = now_ns
             elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
@@ -118,3 +129,43 @@ class Landing:
         above = away[:, 2] < -radius_m
         beside[vehicle] = True
         return bool((beside | above).all())
+
+
+_RING_SHARE, _RINGS, _BEARINGS = 0.25, 80, 24
+
+
+def clear_spots(
+    pos_team_ned_m: FloatArray, movable: BoolArray, clearance_m: float, low_ned_m: FloatArray, high_ned_m: FloatArray
+) -> FloatArray:
+    """Where everybody can come straight down at once: nobody above or below anybody.
+
+    The lowest keep their places, those above move sideways at their own height, by as little as is free.
+
+    Args:
+        pos_team_ned_m: where the vehicles are, shape (n, 3).
+        movable: those that can be told to move, shape (n,); the places of the others are taken.
+        clearance_m: horizontal distance that has to be between any two.
+        low_ned_m: corner of the fence, shape (3,).
+        high_ned_m: the other corner, shape (3,).
+
+    Returns:
+        Shape (n, 3). A vehicle for which the fence holds no free place keeps its own.
+    """
+    spots = pos_team_ned_m.copy()
+    taken = [pos_team_ned_m[i, :2] for i in np.flatnonzero(~movable & np.isfinite(pos_team_ned_m).all(axis=1))]
+    radii_m = _RING_SHARE * clearance_m * np.arange(1, _RINGS + 1)
+    bearings = np.linspace(0.0, 2.0 * np.pi, _BEARINGS, endpoint=False)
+    rings = radii_m[:, None, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+    around = np.concatenate([np.zeros((1, 2)), rings.reshape(-1, 2)])
+    lowest_first = sorted(np.flatnonzero(movable).tolist(), key=lambda i: -float(pos_team_ned_m[i, 2]))
+    for vehicle in lowest_first:
+        places = pos_team_ned_m[vehicle, :2] + around
+        inside = ((places >= low_ned_m[:2]) & (places <= high_ned_m[:2])).all(axis=1)
+        inside[0] = True  # where it is
+        for other in taken:
+            inside &= np.hypot(*(places - other).T) >= clearance_m
+        free = np.flatnonzero(inside)
+        if len(free):
+            spots[vehicle, :2] = places[free[0]]
+        taken.append(spots[vehicle, :2])
+    return spots

@@ -1,209 +1,156 @@
-"""What can be wrong in the air, each with its limit, its reaction and its words.
+"""The board of monitors: asks each of them once per tick and puts together what they want.
 
-Looks at the fleet's state and says what should happen; ``runner`` does it. Keeps, per vehicle, what was already
-said, so that an alarm is one line and not fifty a second.
+The monitors themselves, with their limits and words, are in ``monitors``; docs/safety.md has the table. Decides how a
+finding reads and whom it concerns when the mission goes on without a vehicle; the runner acts on it. Knows who has
+become an obstacle, and how large.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
-from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER, Fleet
+from groundstation.mavlink.vehicle import Fleet
+from groundstation.mission.guidance import Poses
+from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Reaction, Sight, Watch
+from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
+from groundstation.mission.monitors.positions import Frames, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.vehicles import Battery, Heartbeats, Modes
 from groundstation.mission.plan import MissionPlan
 
-_SECOND_NS = 1_000_000_000
-_FENCE_TOLERANCE_M = 0.3  # a gust may carry a vehicle that far beyond the fence before everybody comes back
-_MODE_LOST_NS = 2_500_000_000  # two heartbeats, so that one from before our last request is not believed
+__all__ = ["Findings", "Monitor", "Sight"]
 
-
-@dataclass
-class Findings:
-    """What the monitors ask for in one tick.
-
-    Attributes:
-        alarms: lines for people, each said once.
-        land: vehicles that shall land where they are, as soon as nobody is below.
-        release: vehicles that are no longer ours; no setpoint, no command.
-        abort: why the team shall come back, None when it need not.
-    """
-
-    alarms: list[str] = field(default_factory=list)
-    land: list[int] = field(default_factory=list)
-    release: list[int] = field(default_factory=list)
-    abort: str | None = None
-
-    def alarm(self, text: str, *, abort: bool) -> None:
-        """Adds a line, and the reason to come back where there is none yet."""
-        self.alarms.append(text)
-        if abort and self.abort is None:
-            self.abort = text
-
-
-@dataclass(frozen=True)
-class Sight:
-    """What the vehicles report, in the team frame.
-
-    Attributes:
-        pos_team_ned_m: where they are at this tick, shape (n, 3).
-        pose_ns: when position or attitude was measured, whichever is older, shape (n,).
-        drift_m: how far local and global positions disagree, by two samples in a row, shape (n,), NaN where not known.
-    """
-
-    pos_team_ned_m: FloatArray
-    pose_ns: IntArray
-    drift_m: FloatArray
+_FIRST_SHARE = 0.25  # of r: how much larger an obstacle is at once
+_CONSEQUENCES = {
+    Reaction.SAY: ("", ""),
+    Reaction.HOLD: ("holding", "holding"),
+    Reaction.HOME: ("everybody comes back", "it comes back, the others go on"),
+    Reaction.LAND: (
+        "it lands where it is when nobody is below, the others come back",
+        "it lands where it is when nobody is below, the others go on",
+    ),
+    Reaction.RELEASE: (
+        "it is released and not fought over, the others come back",
+        "it is released and not fought over, the others go on",
+    ),
+    Reaction.ALL_HOME: ("everybody comes back", "everybody comes back"),
+    Reaction.SILENCE: ("setpoints end, the autopilots' own failsafe takes over",) * 2,
+}
 
 
 class Monitor:
     """Watches the vehicles in the air.
 
     Attributes:
-        hold: vehicles whose pose is too old to be steered by; they are told to stand still, shape (n,).
         blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
-        foreign: armed vehicles that do not follow our setpoints at this moment, for whatever reason, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._plan = plan
-        self.hold: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
+        self._modes, self._following = Modes(plan), Following(plan)
+        self._watches: tuple[Watch, ...] = (
+            self._jumps, LinkSilence(plan), self._ages, Heartbeats(plan), Battery(plan), BeyondFence(plan),
+            self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
+        )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
-        self.foreign: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._silent: BoolArray = np.zeros(n, dtype=np.bool_)
         self._gone: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._mode_lost_since_ns = np.full(n, NEVER, dtype=np.int64)
-        self._battery_low: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._outside: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._frame_lost: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._twin: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._origins_ns = np.full(n, NEVER, dtype=np.int64)
-        self._restarts = np.zeros(n, dtype=np.int64)
-        self._fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
+        self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
+
+    @property
+    def hold(self) -> BoolArray:
+        """Vehicles whose pose cannot be steered by at this moment; they are told to stand still, shape (n,)."""
+        return self._ages.hold | self._jumps.suspect
+
+    @property
+    def foreign(self) -> BoolArray:
+        """Armed vehicles that do not follow our setpoints at this moment, for whatever reason, shape (n,)."""
+        return self._modes.foreign
 
     def begin(self, fleet: Fleet) -> None:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""
-        self._origins_ns = fleet.origin_moved_ns.copy()
-        self._restarts = fleet.restarts.copy()
+        self._frames.begin(fleet.origin_moved_ns, fleet.restarts)
 
-    def look(self, fleet: Fleet, sight: Sight, now_ns: int, landing: BoolArray) -> Findings:
+    def leave(self, vehicles: BoolArray) -> None:
+        """Takes those out of sight that were never ours: no finding concerns them, obstacles they are, shape (n,)."""
+        self._gone |= vehicles
+
+    def trusted(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
+        """Puts trusted positions in place of those that have jumped; once per tick, before ``look``."""
+        return self._jumps.take(poses, pose_ns, now_ns)
+
+    def look(self, sight: Sight) -> Findings:
         """Looks at the fleet once per tick.
 
         Args:
-            fleet: what the vehicles report.
-            sight: what that comes to in the team frame.
-            now_ns: time of the tick.
-            landing: vehicles that were told to land, shape (n,); they may leave the streaming mode and disarm.
+            sight: what is to be seen.
 
         Returns:
             What should happen.
         """
         findings = Findings()
-        limits = self._plan.spec.limits
-        pose_ns = sight.pose_ns
-        too_old = (now_ns - pose_ns > limits.pose_age_s * _SECOND_NS) & ~self._gone
-        for vehicle in np.flatnonzero(too_old & ~self.hold):
-            age_s = (now_ns - int(pose_ns[vehicle])) / _SECOND_NS
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: position is {age_s:.2f} s old, limit {limits.pose_age_s:.2f} s;"
-                " holding",
-                abort=False,
-            )
-        self.hold = too_old
-        for vehicle in np.flatnonzero((now_ns - pose_ns > limits.pose_lost_s * _SECOND_NS) & ~self.blind & ~landing):
-            self.blind[vehicle] = True
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: no position for {limits.pose_lost_s:g} s; it lands where it is"
-                " when nobody is below, the others come back",
-                abort=True,
-            )
-            findings.land.append(int(vehicle))
-        silent = fleet.silent(now_ns, limits.heartbeat_age_s)
-        quiet = fleet.heartbeat_stale(now_ns, limits.heartbeat_age_s)
-        for vehicle in np.flatnonzero(quiet & ~self._silent & ~self._gone):
-            self._silent[vehicle] = True
-            if silent[vehicle]:
-                what = f"nothing heard for {limits.heartbeat_age_s:g} s"
-            else:
-                what = (
-                    f"no heartbeat for {HEARTBEAT_PATIENCE * limits.heartbeat_age_s:g} s, whether it is armed and"
-                    " follows is not known any more"
-                )
-            findings.alarm(f"vehicle {fleet.sysid[vehicle]}: {what}; everybody comes back", abort=True)
-        for vehicle in np.flatnonzero((fleet.battery_remaining < limits.battery_min) & ~self._battery_low):
-            self._battery_low[vehicle] = True
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: battery at {fleet.battery_remaining[vehicle]:.0%}, minimum is"
-                f" {limits.battery_min:.0%}; everybody comes back",
-                abort=True,
-            )
-        outside_m = self._fence.outside_m(sight.pos_team_ned_m)
-        known = ~landing & ~self._gone & ~self.blind
-        for vehicle in np.flatnonzero((outside_m > _FENCE_TOLERANCE_M) & ~self._outside & known):
-            self._outside[vehicle] = True
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: {outside_m[vehicle]:.2f} m outside the fence, limit"
-                f" {_FENCE_TOLERANCE_M:g} m; everybody comes back",
-                abort=True,
-            )
-        self._look_at_frames(fleet, sight.drift_m, now_ns, landing, findings)
-        self._look_at_modes(fleet, now_ns, landing, findings)
+        for watch in self._watches:
+            for finding in watch.look(sight, ~self._gone):
+                self._take(finding, findings, sight)
         return findings
 
-    def _look_at_frames(
-        self, fleet: Fleet, drift_m: FloatArray, now_ns: int, landing: BoolArray, findings: Findings
-    ) -> None:
-        """Positions that no longer mean what they meant: such a vehicle lands by itself, the others come back."""
-        drifting = drift_m > self._plan.frame_drift_m  # NaN is not
-        restarted, moved = fleet.restarts > self._restarts, fleet.origin_moved_ns > self._origins_ns
-        wrong = restarted | moved | drifting
-        for vehicle in np.flatnonzero(wrong & ~self._frame_lost & ~self._gone & ~landing).tolist():
-            self._frame_lost[vehicle] = self.blind[vehicle] = True
-            if restarted[vehicle]:
-                what = "its autopilot has started anew"
-            elif moved[vehicle]:
-                what = f"its origin has moved by {fleet.origin_moved_m[vehicle]:.2f} m"
-            else:
-                what = (
-                    f"its local and global positions are {drift_m[vehicle]:.2f} m apart, limit"
-                    f" {self._plan.frame_drift_m:.2g} m"
-                )
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: {what}; it lands where it is when nobody is below, the others come"
-                " back",
-                abort=True,
-            )
-            findings.land.append(vehicle)
-        for vehicle in range(len(fleet)):
-            twin = None if self._twin[vehicle] else fleet.twin_behind_one_address(vehicle, now_ns)
-            if twin is not None:
-                self._twin[vehicle] = True
-                findings.alarm(f"vehicle {fleet.sysid[vehicle]}: {twin}; everybody comes back", abort=True)
+    def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, landing: BoolArray, now_ns: int) -> Poses:
+        """Marks whoever is not steered by us: as one that may come down, and as larger than it is.
 
-    def _look_at_modes(self, fleet: Fleet, now_ns: int, landing: BoolArray, findings: Findings) -> None:
-        ours = np.array(
-            [
-                autopilot.is_streaming_mode(int(mode)) and armed
-                for autopilot, mode, armed in zip(
-                    self._plan.autopilots, fleet.custom_mode, fleet.armed.tolist(), strict=True
-                )
-            ]
+        The radius grows with the time since a vehicle was last seen, as fast as the team may fly, up to a bound.
+
+        Args:
+            poses: of this tick.
+            fleet: what the vehicles report.
+            pose_ns: when each pose was measured, shape (n,).
+            landing: vehicles that land at our word, shape (n,); that they left the streaming mode is no wonder.
+            now_ns: time of the tick.
+        """
+        up = fleet.armed
+        unsteered = self.blind | self._gone | (self.foreign & ~landing)
+        spec = self._plan.spec
+        seen_ns = np.where(self.blind, np.minimum(pose_ns, self._lost_ns), pose_ns)
+        growing_m = bounded_growth_m(
+            _FIRST_SHARE * spec.avoidance.radius_m,
+            spec.speed_limit_m_s,
+            (now_ns - seen_ns) / SECOND_NS - spec.limits.pose_age_s,
+            self._plan.lost_radius_m,
         )
-        # The heartbeat tells a new mode up to a second late; that it is landing, EXTENDED_SYS_STATE tells sooner.
-        self.foreign = (~ours | (fleet.landed_state == LANDED_LANDING)) & fleet.armed
-        away = ~ours & ~landing & ~self._gone
-        self._mode_lost_since_ns = np.where(
-            away, np.where(self._mode_lost_since_ns == NEVER, now_ns, self._mode_lost_since_ns), NEVER
-        )
-        for vehicle in np.flatnonzero(away & (now_ns - self._mode_lost_since_ns >= _MODE_LOST_NS)):
-            self._gone[vehicle] = True
-            mode = self._plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
-            what = f"left for mode {mode}" if fleet.armed[vehicle] else "disarmed by itself"
-            findings.alarm(
-                f"vehicle {fleet.sysid[vehicle]}: {what}; it is released and not fought over, the others come back",
-                abort=True,
-            )
-            findings.release.append(int(vehicle))
+        strays = self._following.strays & ~landing
+        extra_m: FloatArray = np.where((unsteered | strays) & up, growing_m, 0.0)
+        return replace(poses, sinking=(self.blind | self.foreign) & up, extra_radius_m=extra_m)
+
+    def _take(self, finding: Finding, findings: Findings, sight: Sight) -> None:
+        """Puts a finding into words and lists."""
+        rows, reaction = list(finding.vehicles), finding.reaction
+        if finding.lost:
+            # Of a link that is silent altogether every vehicle was told at once; of one vehicle every reason is.
+            if len(rows) == 1 and self.blind[rows[0]]:
+                return
+            self._lost_ns[rows] = np.where(self.blind[rows], self._lost_ns[rows], sight.now_ns)
+            self.blind[rows] = True
+        if reaction is Reaction.HOME and all(self.blind[row] or self._gone[row] for row in rows):
+            reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
+        consequence = _CONSEQUENCES[reaction][sight.going_on]
+        subject = f"vehicle {sight.fleet.sysid[rows[0]]}: " if len(rows) == 1 else ""
+        text = f"{subject}{finding.what}" + (f"; {consequence}" if consequence else "")
+        findings.alarms.append(text)
+        if reaction in (Reaction.SAY, Reaction.HOLD):
+            return
+        if reaction is Reaction.LAND:
+            findings.land += rows
+        elif reaction is Reaction.RELEASE:
+            self._gone[rows] = True
+            findings.release += rows
+        elif reaction is Reaction.HOME:
+            findings.home += rows
+        elif reaction is Reaction.SILENCE:
+            findings.silence = text
+        if sight.going_on and reaction in (Reaction.LAND, Reaction.RELEASE, Reaction.HOME):
+            findings.gone.append(text)
+        elif findings.abort is None:
+            findings.abort = text
+        findings.urgent |= finding.urgent

@@ -5,6 +5,7 @@ Positions in the file are ENU in one team frame; the plan keeps them so, and the
 
 from __future__ import annotations
 
+import base64
 import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -13,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
+from groundstation.core.control import ScaleFunction
 from groundstation.core.errors import UserError
-from groundstation.core.files import read_yaml, validate
+from groundstation.core.files import parse_yaml_value, read_yaml, validate
 from groundstation.core.formation import Formation, Gains
+from groundstation.core.motion import MovePlan
+from groundstation.core.regions import SafetyRegion, UprightRegion, build_region
 from groundstation.core.types import FloatArray
 from groundstation.design.store import (
     FormationFile,
@@ -34,6 +36,7 @@ from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
 from groundstation.mission.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
 from groundstation.mission.schema import MissionSpec
+from groundstation.mission.stages import Shape, Stage, check_clearance, check_shape, make_stages, plan_moves
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
 _POSE_HZ = 50.0
@@ -46,14 +49,13 @@ class MissionPlan:
     Attributes:
         spec: the file's own values.
         source: the file's name, for messages.
-        formation: points and sensing graph, ENU.
-        gains: checked against the formation.
-        gains_npz: the gains file that they came from, for the record.
+        stages: the formations with their gains and laws, the one at the top of the mission first.
+        stage_of_step: stage under way in each step.
+        moves: ``move`` steps by their number.
+        room_m: what the formations leave between two safety regions at least, at any size they are given.
+        vehicle_profiles: figures of each vehicle.
         profile: the slowest vehicle's figures, with the delay of the links and the error of the positions.
-        control_gain: k that multiplies (14).
-        scale: f of (14).
         lead_s: how far ahead motion counts in the law, see ``formation_control``.
-        upright_1_s: weight of the term that keeps the formation right side up, see ``formation_control``.
         links: link addresses, each once.
         addresses: the same, read.
         link_of_vehicle: index into ``links`` per vehicle.
@@ -68,14 +70,13 @@ class MissionPlan:
 
     spec: MissionSpec
     source: str
-    formation: Formation
-    gains: Gains
-    gains_npz: bytes
+    stages: tuple[Stage, ...]
+    stage_of_step: tuple[int, ...]
+    moves: Mapping[int, MovePlan]
+    room_m: float
+    vehicle_profiles: tuple[VehicleProfile, ...]
     profile: VehicleProfile
-    control_gain: float
-    scale: ScaleFunction
     lead_s: float
-    upright_1_s: float
     links: tuple[str, ...]
     addresses: tuple[LinkAddress, ...]
     link_of_vehicle: tuple[int, ...]
@@ -93,6 +94,41 @@ class MissionPlan:
         return len(self.spec.vehicles)
 
     @property
+    def region(self) -> SafetyRegion:
+        """What is kept clear around every vehicle, without the margin."""
+        return _region(self.spec, self.profile)
+
+    @property
+    def formation(self) -> Formation:
+        """The formation at the top of the mission: points and sensing graph, ENU."""
+        return self.stages[0].formation
+
+    @property
+    def gains(self) -> Gains:
+        """Its gains."""
+        return self.stages[0].shape.gains
+
+    @property
+    def gains_npz(self) -> bytes:
+        """The gains file that they came from, for the record."""
+        return self.stages[0].shape.gains_npz
+
+    @property
+    def control_gain(self) -> float:
+        """What multiplies (14) for it: k."""
+        return self.stages[0].control_gain
+
+    @property
+    def scale(self) -> ScaleFunction:
+        """The map f of (14) for it."""
+        return self.stages[0].scale
+
+    @property
+    def upright_1_s(self) -> float:
+        """Weight of the term that keeps it right side up, see ``formation_control``."""
+        return self.stages[0].upright_1_s
+
+    @property
     def stream_links(self) -> tuple[int, ...]:
         """Links on which a frame may arrive in two pieces."""
         return tuple(number for number, address in enumerate(self.addresses) if address.is_stream)
@@ -108,9 +144,44 @@ class MissionPlan:
         return self.spec.limits.frame_drift_m or 0.5 + self.margin_m
 
     @property
+    def pose_jump_m(self) -> float:
+        """How far a vehicle's positions may move otherwise than its velocities say."""
+        return self.spec.limits.pose_jump_m or 0.5 + self.margin_m
+
+    @property
+    def tracking_m_s(self) -> float:
+        """How far a vehicle's velocity may be off what it was told, over a second."""
+        return self.spec.limits.tracking_m_s or max(0.3, 0.6 * self.spec.speed_limit_m_s)
+
+    @property
+    def lost_radius_m(self) -> float:
+        """How much larger than r an obstacle that nobody sees may become."""
+        limit = self.spec.limits.lost_radius_m
+        return 0.5 * self.spec.avoidance.radius_m if limit is None else limit
+
+    @property
+    def battery_warn(self) -> float:
+        """Share of the battery below which people are told."""
+        limits = self.spec.limits
+        return min(limits.battery_min + 0.1, 0.99) if limits.battery_warn is None else limits.battery_warn
+
+    @property
+    def battery_land(self) -> float:
+        """Share of the battery below which a vehicle lands where it is."""
+        limits = self.spec.limits
+        return 0.5 * limits.battery_min if limits.battery_land is None else limits.battery_land
+
+    @property
+    def battery_land_v(self) -> float | None:
+        """The same in volts; None without."""
+        limits = self.spec.limits
+        low = limits.battery_min_v
+        return 0.95 * low if limits.battery_land_v is None and low is not None else limits.battery_land_v
+
+    @property
     def slowness(self) -> float:
         """How many times more gently points are approached because of the links' delay; 1 without any."""
-        own = replace(self.profile, delay_s=slowest(PROFILES[v.profile] for v in self.spec.vehicles).delay_s)
+        own = replace(self.profile, delay_s=slowest(self.vehicle_profiles).delay_s)
         return approach_rate_1_s(own, self.lead_s) / approach_rate_1_s(self.profile, self.lead_s)
 
     def rates_of(self, vehicle: int) -> LinkRates:
@@ -121,6 +192,23 @@ class MissionPlan:
         """Message type that a vehicle's positions come in."""
         return _POSITION_MESSAGES[self.spec.vehicles[vehicle].position]
 
+    def key_file(self, link: int) -> str | None:
+        """File with the signing key of a link, as the mission names it; None for a link that is not signed."""
+        return _key_file(self.spec, self.links[link])
+
+    @property
+    def signed_links(self) -> tuple[int, ...]:
+        """Links on which everything is signed."""
+        return tuple(link for link in range(len(self.links)) if self.key_file(link) is not None)
+
+    def link_id(self, link: int) -> int:
+        """Link id in our signatures on a link: as the mission says, or the link's number, counted on from its own."""
+        signing = self.spec.signing
+        own = signing.links.get(self.links[link]) if signing is not None else None
+        if own is not None and own.link_id is not None:
+            return own.link_id
+        return ((signing.link_id or 0) + link) % 256 if signing is not None else 0
+
     def uses_gps(self, vehicle: int) -> bool:
         """Whether a vehicle's place in the team frame comes from its place on earth."""
         spec = self.spec.vehicles[vehicle]
@@ -128,19 +216,43 @@ class MissionPlan:
 
     def record(self) -> dict[str, Any]:
         """The mission with everything resolved, as plain values, for the manifest beside the log."""
-        return {
-            **self.spec.model_dump(mode="json", exclude={"formation", "gains"}, exclude_none=True),
-            "formation": {
-                "name": self.formation.name,
-                "scale": 1.0,
-                "points": self.formation.points_enu_m.tolist(),
-                "edges": [[i + 1, j + 1] for i, j in self.formation.edges],
-            },
-        }
+        values = self.spec.model_dump(mode="json", exclude={"formation", "gains"}, exclude_none=True)
+        own = {number for number, step in enumerate(self.spec.steps) if step.form is not None and step.form.own_shape}
+        shapes = []
+        for number in sorted(own):
+            shape = self.stages[self.stage_of_step[number]].shape
+            form = values["steps"][number]["form"]
+            form.pop("gains", None)
+            form["formation"] = shape.formation.name
+            encoded = base64.b64encode(shape.gains_npz).decode()
+            shapes.append({"step": number, "formation": _plain(shape.formation), "gains_npz_base64": encoded})
+        return {**values, "formation": _plain(self.formation), **({"shapes": shapes} if shapes else {})}
+
+
+def _plain(formation: Formation) -> dict[str, Any]:
+    """A formation as a formation file has it, scale applied."""
+    return {
+        "name": formation.name,
+        "scale": 1.0,
+        "points": formation.points_enu_m.tolist(),
+        "edges": [[i + 1, j + 1] for i, j in formation.edges],
+    }
+
+
+def read_spec(path: Path, overrides: Sequence[str] = ()) -> MissionSpec:
+    """Reads a mission file alone; nothing is judged but its shape.
+
+    Raises:
+        UserError: it is no mission file, or an override does not fit it.
+    """
+    values = read_yaml(path)
+    for override in overrides:
+        _override(values, override)
+    return validate(MissionSpec, values, str(path))
 
 
 def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
-    """Reads a mission file, its formation and its gains; designs the gains where the file names none.
+    """Reads a mission file, its formations and their gains; designs the gains where the file names none.
 
     Args:
         path: mission file.
@@ -149,29 +261,54 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     Raises:
         UserError: anything wrong, with file, key, value, limit and remedy.
     """
-    values = read_yaml(path)
-    for override in overrides:
-        _override(values, override)
-    spec = validate(MissionSpec, values, str(path))
-    formation_path = _relative(path, spec.formation, "formation")
-    formation = as_in_file = load_formation(formation_path)
-    if spec.formation_scale is not None:
-        factor = spec.formation_scale / validate(FormationFile, read_yaml(formation_path), str(formation_path)).scale
-        formation = replace(as_in_file, points_enu_m=factor * as_in_file.points_enu_m)
-    if spec.gains is not None:
-        gains_path = _relative(path, spec.gains, "gains")
+    spec = read_spec(path, overrides)
+    shapes = _Shapes(path)
+    first = shapes.read(spec.formation, spec.gains, spec.formation_scale)
+    others = {}
+    for number, step in enumerate(spec.steps):
+        form = step.form
+        if form is not None and form.own_shape:
+            # Gains belong to points: those of the mission go with the mission's formation only.
+            gains = form.gains if form.formation is not None or form.gains is not None else spec.gains
+            size = form.formation_scale if form.formation is not None or form.formation_scale else spec.formation_scale
+            others[number] = shapes.read(form.formation or spec.formation, gains, size, f"steps[{number}].form.")
+    return build_plan(spec, first, str(path), others)
+
+
+class _Shapes:
+    """Reads formations and gains of one mission, and designs each missing one once."""
+
+    def __init__(self, mission: Path) -> None:
+        self._mission = mission
+        self._designed: dict[Path, Shape] = {}
+
+    def read(self, formation: str, gains: str | None, size: float | None, key: str = "") -> Shape:
+        """Reads a formation, at the size given in place of its own scale, with its gains."""
+        formation_path = _relative(self._mission, formation, f"{key}formation")
+        as_in_file = load_formation(formation_path)
+        factor = 1.0
+        if size is not None:
+            factor = size / validate(FormationFile, read_yaml(formation_path), str(formation_path)).scale
+        sized = as_in_file if size is None else replace(as_in_file, points_enu_m=factor * as_in_file.points_enu_m)
+        if gains is None:
+            if formation_path not in self._designed:
+                self._designed[formation_path] = self._design(as_in_file, formation, key)
+            return replace(self._designed[formation_path], formation=sized)
+        gains_path = _relative(self._mission, gains, f"{key}gains")
         stored = load_gains(gains_path)
         check_gains(stored, as_in_file)  # gains belong to a shape, whatever its size
-        return build_plan(spec, formation, stored.gains, gains_path.read_bytes(), str(path))
-    from groundstation.design.designer import design  # noqa: PLC0415 - loads solvers that most missions do without
+        return Shape(sized, stored.gains, gains_path.read_bytes())
 
-    result = design(as_in_file)
-    if result.gains is None or result.certificate is None:
-        raise UserError(f"{path}: formation: {spec.formation}: no gains exist: {result.reason}")
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "gains.npz"
-        save_gains(file, as_in_file, result.gains, result.certificate, result.method)
-        return build_plan(spec, formation, result.gains, file.read_bytes(), str(path))
+    def _design(self, formation: Formation, name: str, key: str) -> Shape:
+        from groundstation.design.designer import design  # noqa: PLC0415 - loads solvers that most missions do without
+
+        result = design(formation)
+        if result.gains is None or result.certificate is None:
+            raise UserError(f"{self._mission}: {key}formation: {name}: no gains exist: {result.reason}")
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "gains.npz"
+            save_gains(file, formation, result.gains, result.certificate, result.method)
+            return Shape(formation, result.gains, file.read_bytes())
 
 
 def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) -> MissionPlan:
@@ -181,25 +318,53 @@ def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) 
         UserError: the record is not one of ours, or what it holds does not fit together.
     """
     values = dict(mission)
-    shape = values.pop("formation", None)
-    if not isinstance(shape, Mapping):
+    points = values.pop("formation", None)
+    if not isinstance(points, Mapping):
         raise UserError(f"{source}: mission.formation: is missing, the manifest is not one of a mission")
-    formation = to_formation(validate(FormationFile, dict(shape), f"{source}: mission.formation"))
-    spec = validate(MissionSpec, {**values, "formation": formation.name, "gains": None}, f"{source}: mission")
+    shapes = values.pop("shapes", [])
+    name = str(points.get("name"))
+    spec = validate(MissionSpec, {**values, "formation": name, "gains": None}, f"{source}: mission")
+    first = _shape_from_record(
+        points, gains_npz, f"{source}: mission.formation", resized=spec.formation_scale is not None
+    )
+    others: dict[int, Shape] = {}
+    try:
+        for item in shapes:
+            number = int(item["step"])
+            npz = base64.b64decode(item["gains_npz_base64"], validate=True)
+            where = f"{source}: mission.shapes[{len(others)}].formation"
+            others[number] = _shape_from_record(item["formation"], npz, where, resized=True)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{source}: mission.shapes: {error}; the manifest is damaged") from error
+    wanted = {number for number, step in enumerate(spec.steps) if step.form is not None and step.form.own_shape}
+    if wanted != set(others):
+        raise UserError(f"{source}: mission.shapes: are for steps {sorted(others)}, expected {sorted(wanted)}")
+    return build_plan(spec, first, source, others)
+
+
+def _shape_from_record(points: Any, gains_npz: bytes, where: str, *, resized: bool) -> Shape:
+    """A formation and its gains out of a manifest, checked against each other."""
+    formation = to_formation(validate(FormationFile, dict(points), where))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "gains.npz"
         file.write_bytes(gains_npz)
         stored = load_gains(file)
     size, stored_size = (float(np.abs(points).max()) for points in (formation.points_enu_m, stored.points_enu_m))
     same_size = formation
-    if spec.formation_scale is not None and size > 0.0:
+    if resized and size > 0.0:
         same_size = replace(formation, points_enu_m=formation.points_enu_m * (stored_size / size))
     check_gains(stored, same_size)
-    return build_plan(spec, formation, stored.gains, gains_npz, source)
+    return Shape(formation, stored.gains, gains_npz)
 
 
-def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz: bytes, source: str) -> MissionPlan:
+def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int, Shape] | None = None) -> MissionPlan:
     """Puts a plan together from values that are valid each for itself, and judges them together.
+
+    Args:
+        spec: the mission.
+        first: the formation at its top.
+        source: the file's name, for messages.
+        others: formations of ``form`` steps that name their own, by number of the step.
 
     Raises:
         UserError: they do not fit each other.
@@ -207,23 +372,32 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
     if spec.steps[0].form is None:
         raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
-    _check_vehicles(spec, formation, source)
-    _check_room(spec, formation, pads, source)
+    shapes = {"formation": first} | {f"steps[{number}].form": shape for number, shape in (others or {}).items()}
+    profiles = known_profiles(spec, source)
+    _check_vehicles(spec, first.formation, source, profiles)
+    vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)
+    profile = slowest(vehicle_profiles)
+    region = _region(spec, profile)
+    _check_pads(spec, pads, region, source)
+    for key, shape in shapes.items():
+        check_shape(spec, shape.formation, region, floor_m=_floor(spec), source=source, key=key)
+    _check_takeoff(spec, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
+    _check_signing(spec, addresses, source)
     rates = _fit_links(spec, addresses, source)
-    profile = slowest(PROFILES[vehicle.profile] for vehicle in spec.vehicles)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
-    check_radius(
-        source,
-        formation,
-        pads,
-        radius_m=spec.avoidance.radius_m,
-        position_error_m=position_error_m,
-        positioning=positioning,
-    )
+    for key, shape in shapes.items():
+        check_radius(
+            source if key == "formation" else f"{source}: {key}",
+            shape.formation,
+            pads,
+            region=region,
+            position_error_m=position_error_m,
+            positioning=positioning,
+        )
     # Positions are brought to the tick with their velocity; what was not yet said of it counts as delay, and so does
     # the time until the next setpoint.
     waits_s = max(1.0 / rate.setpoint_hz + 0.5 / rate.pose_hz for rate in rates) - 1.0 / spec.rate_hz - 0.5 / _POSE_HZ
@@ -232,26 +406,33 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         delay_s=profile.delay_s + spec.link_delay_s + max(waits_s, 0.0),
         position_error_m=position_error_m,
     )
-    scale = ScaleFunction(kind=spec.scale.kind, gain=spec.scale.gain)
-    # The upright term fixes the vertical scale, which a free scale leaves to the start.
-    upright_1_s = 0.0 if spec.scale.kind == "free" else spec.upright_1_s
-    rate_1_s = rate_for_auto_gain_1_s(formation, gains, scale, upright_1_s)
     lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
     if positioning == "gps":
         check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
-    automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
-    floor = spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
+    acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
+    stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s)
+    moves, room_m = plan_moves(
+        spec,
+        stages,
+        stage_of_step,
+        region=region,
+        pads_enu_m=pads,
+        floor_m=_floor(spec),
+        acceleration_limit_m_s2=min(acceleration_limit_m_s2, profile.acceleration_max_m_s2),
+        position_error_m=position_error_m,
+        positioning=positioning,
+        source=source,
+    )
     return MissionPlan(
         spec=spec,
         source=source,
-        formation=formation,
-        gains=gains,
-        gains_npz=gains_npz,
+        stages=stages,
+        stage_of_step=stage_of_step,
+        moves=moves,
+        room_m=room_m,
+        vehicle_profiles=vehicle_profiles,
         profile=profile,
-        control_gain=automatic if spec.gain == "auto" else spec.gain,
-        scale=scale,
         lead_s=lead_s,
-        upright_1_s=upright_1_s,
         links=links,
         addresses=addresses,
         link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
@@ -260,8 +441,8 @@ def build_plan(spec: MissionSpec, formation: Formation, gains: Gains, gains_npz:
         margin_m=margin_m(position_error_m),
         autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),
         pads_enu_m=pads,
-        min_altitude_m=floor,
-        acceleration_limit_m_s2=spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2,
+        min_altitude_m=_floor(spec),
+        acceleration_limit_m_s2=acceleration_limit_m_s2,
     )
 
 
@@ -288,6 +469,7 @@ def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str)
                     setpoint_hz=spec.rate_hz,
                     position=position,
                     cross_check=any(v.position == "local" and v.origin == "gps" for v in users),
+                    signed=_key_file(spec, address.url) is not None,
                 )
             )
         except UserError as error:
@@ -295,13 +477,39 @@ def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str)
     return tuple(fitted)
 
 
+def _key_file(spec: MissionSpec, link: str) -> str | None:
+    if spec.signing is None:
+        return None
+    own = spec.signing.links.get(link)
+    return spec.signing.key_file if own is None else own.key_file
+
+
+def _check_signing(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> None:
+    if spec.signing is None:
+        return
+    for link in spec.signing.links:
+        if link not in {address.url for address in addresses}:
+            raise UserError(f"{source}: signing.links: {link}: no vehicle uses this link; correct it or leave it out")
+    signed = [address for address in addresses if _key_file(spec, address.url) is not None]
+    if not signed:
+        raise UserError(
+            f"{source}: signing.key_file: is missing, no link would be signed; name one, or leave signing out"
+        )
+    for address in signed:
+        if address.through_mavsdk:
+            raise UserError(
+                f"{source}: signing: {address.url}: MAVSDK sends setpoints by itself, which cannot be signed here; use"
+                f" {address.url.removeprefix('mavsdk://')}, or give the link key_file: null in signing.links"
+            )
+
+
 def _override(values: dict[str, Any], override: str) -> None:
     path, separator, text = override.partition("=")
     if not separator or not path:
         raise UserError(f"--set {override}: expected key.path=value, for example speed_limit_m_s=0.3")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
+        value = parse_yaml_value(text, path)
+    except UserError:
         raise UserError(f"--set {override}: the value is not valid YAML") from None
     *parents, last = path.split(".")
     place: Any = values
@@ -331,7 +539,28 @@ def _relative(mission: Path, name: str, key: str) -> Path:
     return path
 
 
-def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> None:
+def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
+    """The profiles that come along and those of the mission.
+
+    Raises:
+        UserError: one of the mission's is like none that is known.
+    """
+    profiles = dict(PROFILES)
+    for name, given in spec.profiles.items():
+        like = given.like or name
+        if like not in PROFILES:
+            raise UserError(
+                f"{source}: profiles.{name}.like: {like} is not known; name one of {', '.join(PROFILES)}, whose other"
+                " figures it has"
+            )
+        figures = given.model_dump(exclude={"like"}, exclude_none=True)
+        profiles[name] = replace(PROFILES[like], name=name, **figures)
+    return profiles
+
+
+def _check_vehicles(
+    spec: MissionSpec, formation: Formation, source: str, profiles: Mapping[str, VehicleProfile]
+) -> None:
     vehicles = spec.vehicles
     if len(vehicles) != formation.size:
         raise UserError(
@@ -348,47 +577,43 @@ def _check_vehicles(spec: MissionSpec, formation: Formation, source: str) -> Non
         first_with[vehicle.id] = number
         if vehicle.autopilot not in AUTOPILOTS:
             raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
-        if vehicle.profile not in PROFILES:
-            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(PROFILES)}")
+        if vehicle.profile not in profiles:
+            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(profiles)}")
         try:
             parse_address(vehicle.link)
         except UserError as error:
             raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
 
 
-def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, source: str) -> None:
+def _region(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:
+    given = spec.avoidance
+    half_height_m = profile.half_height_m if given.half_height_m is None else given.half_height_m
+    return build_region(given.shape, given.radius_m, given.activation_m, half_height_m)
+
+
+def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:
     radius = spec.avoidance.radius_m
     if spec.avoidance.activation_m < radius:
         raise UserError(
             f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
             f" {radius} m; make it as large at least"
         )
-    for i, j in itertools.combinations(range(formation.size), 2):
-        distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
-        if distance <= radius:
-            raise UserError(
-                f"{source}: formation.points[{j}]: {distance:.3g} m from points[{i}], minimum is more than"
-                f" {radius:g} m (avoidance.radius_m); scale the formation up or lower the radius"
-            )
+    if isinstance(region, UprightRegion):
+        check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
+    for i, j in itertools.combinations(range(len(pads)), 2):
         distance = float(np.linalg.norm(pads[i] - pads[j]))
         if distance < radius:
             raise UserError(
                 f"{source}: vehicles[{j}].pad_m: {distance:.3g} m from the pad of vehicles[{i}], minimum is"
                 f" {radius:g} m (avoidance.radius_m); move the pads apart or lower the radius"
             )
+    for axis, (low, high) in enumerate(zip(spec.fence.min_m, spec.fence.max_m, strict=True)):
+        if low >= high:
+            raise UserError(f"{source}: fence.min_m[{axis}]: {low:g} m is not below fence.max_m[{axis}] {high:g} m")
+
+
+def _check_takeoff(spec: MissionSpec, pads: FloatArray, source: str) -> None:
     low, high = np.array(spec.fence.min_m), np.array(spec.fence.max_m)
-    for axis, letter in enumerate("xyz"):
-        if low[axis] >= high[axis]:
-            raise UserError(
-                f"{source}: fence.min_m[{axis}]: {low[axis]:g} m is not below fence.max_m[{axis}] {high[axis]:g} m"
-            )
-        extent = float(np.ptp(formation.points_enu_m[:, axis])) if axis == 2 else _widest(formation)
-        room = float(high[axis] - (max(low[axis], _floor(spec)) if axis == 2 else low[axis]))
-        if extent > room:
-            raise UserError(
-                f"{source}: fence: {room:.3g} m of room along {letter}, formation {formation.name} needs"
-                f" {extent:.3g} m; enlarge the fence or scale the formation down"
-            )
     half_stagger_m = spec.takeoff.stagger_m / 2.0
     if spec.takeoff.height_m - half_stagger_m < _floor(spec):
         raise UserError(
@@ -406,8 +631,3 @@ def _check_room(spec: MissionSpec, formation: Formation, pads: FloatArray, sourc
 
 def _floor(spec: MissionSpec) -> float:
     return spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m
-
-
-def _widest(formation: Formation) -> float:
-    horizontal = formation.points_enu_m[:, :2]
-    return float(np.linalg.norm(horizontal[:, None] - horizontal[None, :], axis=-1).max())

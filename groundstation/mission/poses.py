@@ -124,12 +124,54 @@ class TeamFrame:
         declared to begin at their pads, and that fly by GPS, are shifted to their pads altogether: their estimates
         began somewhere near.
         """
-        gap = self._pads_ned_m - self._reported(fleet, now_ns)
+        self._settle(self._pads_ned_m - self._reported(fleet, now_ns))
+
+    def _settle(self, gap: FloatArray) -> None:
+        """Shifts heights, and places that are only roughly known, by what the vehicles were off while they stood."""
+        known = np.asarray(np.isfinite(gap).all(axis=1))
+        gap = np.where(known[:, None], gap, 0.0)
         self._shift_ned_m[self._gps, 2] = gap[self._gps, 2]
         if self._plan.positioning == "gps":
             at_pad = np.array([vehicle.origin == "pad" for vehicle in self._plan.spec.vehicles]) & ~self._gps
             self._shift_ned_m[at_pad] = gap[at_pad]
         self.settled = True
+
+    # In the air: what the ground would have told, from where the vehicles took off
+
+    def look_in_flight(self, fleet: Fleet, now_ns: int) -> None:
+        """The same as ``look`` for vehicles that are in the air: their homes stand in for where they stand."""
+        if self.settled or not self._gps.any() or now_ns < self._next_look_ns:
+            return
+        self._next_look_ns = now_ns + _LOOK_NS
+        if not self._anchor_is_given:
+            told = np.flatnonzero(self._gps & np.isfinite(fleet.home_deg_m).all(axis=1))
+            if len(told):
+                first = int(told[0])
+                place = fleet.home_deg_m[first]
+                self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)
+                self._anchor_is_given = True
+        if self.anchor_deg_m is not None:
+            rows = np.flatnonzero(self._by_origin)
+            self.origin_team_ned_m[rows] = self._from_anchor(fleet.origin_deg_m[rows])
+
+    def _homes_team_ned_m(self, fleet: Fleet) -> FloatArray:
+        """Where the vehicles took off, as they tell it, shape (n, 3); NaN where they do not."""
+        local = fleet.home_local_ned_m.copy()
+        for vehicle, autopilot in enumerate(self._plan.autopilots):
+            if not autopilot.tells_home_locally:
+                on_earth = (*fleet.home_deg_m[vehicle], *fleet.origin_deg_m[vehicle])
+                local[vehicle] = pymap3d.geodetic2ned(*on_earth) if np.isfinite(on_earth).all() else np.nan
+        return np.where(self._global[:, None], self._from_anchor(fleet.home_deg_m), self.origin_team_ned_m + local)
+
+    def home_off_pad_m(self, fleet: Fleet) -> FloatArray:
+        """How far from their pads the vehicles took off, shape (n,); NaN where they do not tell. See ``off_pad_m``."""
+        gap = self._homes_team_ned_m(fleet) - self._pads_ned_m
+        gap[self._gps, 2] /= 3.0
+        return np.asarray(np.linalg.norm(gap, axis=1))
+
+    def settle_in_flight(self, fleet: Fleet) -> None:
+        """The same as ``settle`` for vehicles that are in the air."""
+        self._settle(self._pads_ned_m - self._homes_team_ned_m(fleet))
 
     def local_origins_enu_m(self) -> FloatArray:
         """Where LOCAL_POSITION_NED of each vehicle begins, team frame ENU, shape (n, 3); NaN where it is not used."""

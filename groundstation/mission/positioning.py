@@ -13,6 +13,7 @@ import numpy as np
 
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
+from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import FloatArray
 from groundstation.mission.schema import MissionSpec
 
@@ -61,7 +62,7 @@ def check_radius(
     formation: Formation,
     pads_enu_m: FloatArray,
     *,
-    radius_m: float,
+    region: SafetyRegion,
     position_error_m: float,
     positioning: str,
 ) -> None:
@@ -71,7 +72,7 @@ def check_radius(
         source: the mission's name.
         formation: with its shortest distance.
         pads_enu_m: shape (n, 3).
-        radius_m: r.
+        region: with r.
         position_error_m: standard deviation, one axis.
         positioning: name of the source, for messages.
 
@@ -80,13 +81,26 @@ def check_radius(
     """
     margin = margin_m(position_error_m)
     for what, points in (("formation " + formation.name, formation.points_enu_m), ("pads", pads_enu_m)):
-        first, second = np.triu_indices(len(points), 1)
-        shortest = float(np.linalg.norm(points[first] - points[second], axis=1).min())
-        if radius_m + margin >= shortest:
+        room_m = region.room_m(all_offsets(points))
+        if margin >= room_m:
+            r = f"{source}: avoidance.radius_m: {region.radius_m:g} m"
+            if not isinstance(region, SafetySphere):
+                raise UserError(
+                    f"{r} with the {region.name} cannot be kept with {positioning} positions: two of them may be"
+                    f" {margin:.2f} m off against each other, and around the {region.name} the {what} leave"
+                    f" {max(room_m, 0.0):.2g} m; lower radius_m or half_height_m, or move further apart"
+                )
+            shortest = room_m + region.radius_m
             able = math.floor(100.0 * (shortest - margin) - 1e-9) / 100.0
             could = f"an r of {able:g} m could be" if able > 0.0 else "no r could be"
             raise UserError(
-                f"{source}: avoidance.radius_m: {radius_m:g} m cannot be kept with {positioning} positions: two of"
+                f"{r} cannot be kept with {positioning} positions: two of"
                 f" them may be {margin:.2f} m off against each other, and the shortest distance of the {what} is"
                 f" {shortest:.3g} m; {could} kept: lower r, or move further apart"
             )
+
+
+def all_offsets(points_m: FloatArray) -> FloatArray:
+    """From each point to each later one, shape (n (n - 1) / 2, 3)."""
+    first, second = np.triu_indices(len(points_m), 1)
+    return np.asarray(points_m[second] - points_m[first], dtype=np.float64)

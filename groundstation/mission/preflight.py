@@ -6,7 +6,7 @@ again. Nothing here waits: the runner calls it once per tick and decides how lon
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,8 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
+from groundstation.mission.check_table import CheckRow, check_rows
+from groundstation.mission.checks import Checks
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 
@@ -80,6 +82,7 @@ class Preflight:
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
+        self.checks = Checks(plan, station)
 
     def step(self, now_ns: int, said: Mapping[int, str]) -> GroundState:
         """Asks for what is missing and looks at what is there.
@@ -93,6 +96,10 @@ class Preflight:
         off_m = self._frame.off_pad_m(fleet, now_ns)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
+        positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
+        held: list[str] = []  # told together, when nothing else is waited for
+        if (team := self.checks.team_problem()) is not None:
+            held.append(f"mission: {team}")
         for vehicle, spec in enumerate(self._plan.spec.vehicles):
             name = f"vehicle {spec.id}"
             twin = fleet.twin(vehicle, now_ns)
@@ -113,27 +120,36 @@ class Preflight:
                 continue
             if fleet.armed[vehicle]:
                 state.fatal.append(f"{name}: is armed already; disarm it before the mission")
+                self.checks.armed(vehicle)
                 continue
             self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
             self._ask_for_origin(vehicle, now_ns)
+            self.checks.ask(vehicle, now_ns)
             problem = (
                 self._deaf(vehicle, now_ns)
                 or self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
                 or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), state)
+                or self.checks.waiting(vehicle, now_ns, positions)
             )
+            held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
+            state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
             if problem is not None:
                 state.waiting.append(f"{name}: {problem}")
-            elif fleet.battery_remaining[vehicle] < self._plan.spec.limits.battery_min:
-                state.fatal.append(
-                    f"{name}: battery at {fleet.battery_remaining[vehicle]:.0%}, minimum is"
-                    f" {self._plan.spec.limits.battery_min:.0%}; charge it"
-                )
             self._tell_slow(vehicle, state)
+        (state.waiting if state.waiting else state.fatal).extend(held)
+        state.notes += self.checks.team_notes()
         state.notes = [note for note in state.notes if note not in self._noted]
         self._noted.update(state.notes)
         return state
+
+    def rows(self, problems: Sequence[str], now_ns: int) -> list[CheckRow]:
+        """What was found, a row for each vehicle."""
+        rates_hz = [rates.hz for rates in self._rates]
+        return check_rows(
+            self._plan, self._station, self._frame, self.checks, rates_hz=rates_hz, problems=problems, now_ns=now_ns
+        )
 
     # Streams
 
@@ -333,9 +349,11 @@ class Preflight:
                 " its estimator"
             )
         if not off_m <= plan.pad_error_m:
+            positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
+            elsewhere = self.checks.place_words(vehicle, positions)
             return (
-                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m; put it on its pad,"
-                " restart it there, or correct pad_m"
+                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m"
+                f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
             )
         return None
 

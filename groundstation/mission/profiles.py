@@ -20,6 +20,10 @@ class VehicleProfile:
         delay_s: from the telemetry's instant to the setpoint taking effect.
         acceleration_max_m_s2: what it reaches horizontally while holding height.
         position_error_m: standard deviation of its position estimate against the others', one axis.
+        endurance_s: hovering time on a full battery.
+        climb_m_s: what it climbs and sinks at least when it returns by itself.
+        cruise_m_s: its speed at least when it returns by itself.
+        half_height_m: how far above and below it downwash is felt; for safety regions that are no spheres.
     """
 
     name: str
@@ -27,16 +31,34 @@ class VehicleProfile:
     delay_s: float
     acceleration_max_m_s2: float
     position_error_m: float
+    endurance_s: float
+    climb_m_s: float
+    cruise_m_s: float
+    half_height_m: float
 
+
+_CRAZYFLIE_HALF_HEIGHT_M = 0.75
+"""Twice the 0.375 m that Crazyswarm takes for each of two Crazyflies (docs/avoidance.md)."""
+_HALF_METRE_HALF_HEIGHT_M = 4.0
+"""The same for multirotors of 0.5 m and propellers of 0.25 m: downwash grows with the size of the vehicle."""
 
 PROFILES: dict[str, VehicleProfile] = {
     profile.name: profile
     for profile in (
-        VehicleProfile("crazyflie", lag_s=0.2, delay_s=0.05, acceleration_max_m_s2=4.0, position_error_m=0.01),
-        VehicleProfile("px4_quad", lag_s=1.0, delay_s=0.1, acceleration_max_m_s2=3.0, position_error_m=0.02),
-        VehicleProfile("arducopter", lag_s=0.9, delay_s=0.1, acceleration_max_m_s2=2.5, position_error_m=0.02),
+        VehicleProfile(
+            "crazyflie", lag_s=0.2, delay_s=0.05, acceleration_max_m_s2=4.0, position_error_m=0.01,
+            endurance_s=360.0, climb_m_s=0.8, cruise_m_s=1.0, half_height_m=_CRAZYFLIE_HALF_HEIGHT_M,
+        ),
+        VehicleProfile(
+            "px4_quad", lag_s=1.0, delay_s=0.1, acceleration_max_m_s2=3.0, position_error_m=0.02,
+            endurance_s=1200.0, climb_m_s=1.4, cruise_m_s=3.0, half_height_m=_HALF_METRE_HALF_HEIGHT_M,
+        ),
+        VehicleProfile(
+            "arducopter", lag_s=0.9, delay_s=0.1, acceleration_max_m_s2=2.5, position_error_m=0.02,
+            endurance_s=1200.0, climb_m_s=1.4, cruise_m_s=3.0, half_height_m=_HALF_METRE_HALF_HEIGHT_M,
+        ),
     )
-}
+}  # fmt: skip
 
 
 def approach_rate_1_s(profile: VehicleProfile, lead_s: float) -> float:
@@ -61,4 +83,8 @@ def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
         delay_s=max(item.delay_s for item in items),
         acceleration_max_m_s2=min(item.acceleration_max_m_s2 for item in items),
         position_error_m=max(item.position_error_m for item in items),
+        endurance_s=min(item.endurance_s for item in items),
+        climb_m_s=min(item.climb_m_s for item in items),
+        cruise_m_s=min(item.cruise_m_s for item in items),
+        half_height_m=max(item.half_height_m for item in items),
     )

@@ -9,27 +9,33 @@ arming it ends at once, with nothing armed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.assignment import assign_roles
-from groundstation.core.control import Task, task_for_roles
-from groundstation.core.metrics import formation_error_m, min_distance_m, vertical_orientation
+from groundstation.core.limits import Fence
+from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
+from groundstation.mission.check_table import CheckRow
 from groundstation.mission.climb import Climb
+from groundstation.mission.failsafe import FailsafePlan
+from groundstation.mission.formation_flight import FormationFlight
 from groundstation.mission.guidance import Guide, Poses
-from groundstation.mission.landing import Landing
+from groundstation.mission.killing import Killing
+from groundstation.mission.landing import Landing, clear_spots
 from groundstation.mission.monitor import Monitor, Sight
+from groundstation.mission.operator import OperatorCommand, Order, parse_command, refusal
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
 from groundstation.mission.preflight import Preflight
-from groundstation.mission.schema import FormStep, HoldStep
 from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
+from groundstation.mission.takeover import TakeOver, out_of_sight
 from groundstation.mission.words import Words
 
 __all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]
@@ -41,7 +47,6 @@ _DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
 _DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while the team comes down
 _FAULTS_NOTED = 5
-_HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
 _SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
@@ -56,6 +61,7 @@ class Runner:
         start_ns: time at which it begins, on the clock of all other times.
         check_only: stop after the preflight checks, arm nothing.
         whole_frames: ``receive`` is given whole frames on every link, as from a log, whatever the links were.
+        take_over: the vehicles are in the air already; take them over and bring them home, see ``takeover``.
 
     Attributes:
         phase: what the team is doing.
@@ -63,20 +69,25 @@ class Runner:
         reason: why it was aborted or refused, "" otherwise.
         figures: see ``Figures``.
         fleet: state of the vehicles.
-        role_of_agent: role per vehicle, shape (n,).
     """
 
     def __init__(
-        self, plan: MissionPlan, start_ns: int, *, check_only: bool = False, whole_frames: bool = False
+        self,
+        plan: MissionPlan,
+        start_ns: int,
+        *,
+        check_only: bool = False,
+        whole_frames: bool = False,
+        take_over: bool = False,
     ) -> None:
         n = plan.size
         self.plan = plan
-        self.phase = Phase.CONNECT
+        self.phase = Phase.TAKEOVER if take_over else Phase.CONNECT
+        self._region = plan.region
         self.outcome: str | None = None
         self.reason = ""
         self.figures = Figures()
         self.fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
-        self.role_of_agent: IntArray = np.arange(n)
         self.problems: list[str] = []
         self._station = Station(
             self.fleet,
@@ -89,6 +100,7 @@ class Runner:
         self._arming = Arming(plan, self.fleet, self._station.commands)
         self._climb = Climb(plan)
         self._guide = Guide(plan)
+        self._guide_apart = Guide(plan)  # of those that fly apart from the formation: its setpoints are theirs alone
         self._monitor = Monitor(plan)
         self._check_only = check_only
         self._period_ns = round(_SECOND_NS / plan.spec.rate_hz)
@@ -97,19 +109,25 @@ class Runner:
         self._takeoff_ns = NEVER
         self._last_step_ns = NEVER
         self._steady_since_ns = NEVER
-        self._step_index = -1
-        self._task: Task | None = None
-        self._notes: list[Note] = [Note("phase", Phase.CONNECT.value)]
+        self._notes: list[Note] = [Note("phase", self.phase.value)]
+        self._take_over = TakeOver(plan, self._station, self._frame, self._preflight, start_ns)
+        self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
         self._landing = Landing(plan, self.fleet, self._station.commands)
+        self._killing = Killing(plan, self.fleet, self._station.commands)
         self._faults = 0
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._blocked_since_ns = np.full(n, NEVER, dtype=np.int64)
-        self._blocked_counted: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._words = Words()
-        self._abort_requested = False
+        self._lines: list[str] = []
+        self._resume_to = Phase.CONNECT
+        self._resume_phase_ns = start_ns
+        self._lands_here = False
+        self._spoken_to = False  # after silence: the operator wants something of the vehicles again
+        self._homing: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._home_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
-        self._gather_ned_m: FloatArray = self._pads_ned_m.copy()
+        self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
         self._spread_m = _OF_MARGIN * plan.margin_m * min(plan.slowness, _SLOWNESS_MAX)
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
@@ -126,29 +144,25 @@ class Runner:
         self._station.receive(link, peer, data, t_rx_ns)
 
     def operator(self, command: str) -> None:
-        """Takes a command of the operator; it is acted upon in the next step.
+        """Takes a line of the operator, see ``operator.parse_command``; it is acted upon in the next step.
 
-        Args:
-            command: ``return`` (everyone stops, flies back and lands) or ``silence`` (setpoints stop; the autopilots'
-                own failsafe acts).
-
-        Raises:
-            ValueError: another command.
+        A line that is not understood, or that the phase refuses, changes nothing and is answered by a note.
         """
-        if command == "return":
-            self._abort_requested = True
-        elif command == "silence":
-            self._note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
-            self._abort("stopped by the operator, setpoints ended")
-            if self.phase is not Phase.DONE:
-                self._enter(Phase.SILENT, self._last_step_ns)
-        else:
-            raise ValueError(f"operator command {command!r} is none of return, silence")
+        self._lines.append(command)
 
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
         return self.phase is Phase.DONE
+
+    @property
+    def role_of_agent(self) -> IntArray:
+        """Role per vehicle, shape (n,)."""
+        return self._flight.role_of_agent
+
+    def formation_error_m(self, pos_m: FloatArray) -> float:
+        """Largest |d_ij - d*_ij| of the formation under way, of positions in any one frame, shape (n, 3)."""
+        return self._flight.error_m(pos_m)
 
     @property
     def setpoints_sent(self) -> int:
@@ -165,6 +179,15 @@ class Runner:
         """Vehicles that are armed and do not report to stand on the ground, shape (n,)."""
         airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)
         return airborne
+
+    def check_rows(self) -> list[CheckRow]:
+        """What preflight found, a row for each vehicle."""
+        return self._preflight.rows(self.problems, self._last_step_ns)
+
+    @property
+    def failsafe(self) -> FailsafePlan:
+        """What the team does when the ground station is gone."""
+        return self._preflight.checks.failsafe
 
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""
@@ -191,28 +214,35 @@ class Runner:
         n = self.plan.size
         velocity: FloatArray = np.zeros((n, 3))
         poses = self._frame.poses(self.fleet, now_ns)
-        if self._abort_requested:
-            self._abort_requested = False
-            self._give_up("stopped by the operator", now_ns, stop=True)
+        lines, self._lines = self._lines, []
+        for line in lines:
+            self._obey(line, poses, now_ns)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
-            self._watch(poses, now_ns)
-            # Whoever does not follow us, or cannot be seen, may come down at any moment: nobody stays underneath.
-            poses = replace(poses, sinking=(self._monitor.blind | self._monitor.foreign) & self.fleet.armed)
+            poses = self._watch(out_of_sight(poses), now_ns)
             self._measure(poses)
+        standing: BoolArray = np.zeros(n, dtype=np.bool_)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
+        elif self.phase is Phase.TAKEOVER:
+            self._take(now_ns)
+            standing = self._take_over.taken
         elif self.phase is Phase.ARM:
             self._arm(now_ns, poses)
         elif self.phase is Phase.SILENT:
+            self._landing.step(now_ns, poses, self._released)
             self._come_down(now_ns)
         elif self.phase in AIRBORNE_PHASES:
             velocity = self._steer(now_ns, poses)
-        streaming = np.full(n, self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM) & ~self._released
+        self._killing.step(now_ns)
+        streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
-        velocity = np.where((self._monitor.hold | self._landing.asked | self._released)[:, None], 0.0, velocity)
+        if self.phase is Phase.SILENT and not (self._spoken_to or self._killing.asked.any()):
+            return []  # heartbeats too: some autopilots act only when those are gone
+        still = self._monitor.hold | self._landing.asked | self._released
+        velocity = self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity)
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
@@ -226,6 +256,8 @@ class Runner:
                 return self._takeoff(now_ns, poses)
             if self.phase in FORMATION_PHASES:
                 return self._formation(now_ns, poses)
+            if self.phase is Phase.PAUSE:
+                return self._pause(now_ns, poses)
             if self.phase is Phase.RETURN:
                 return self._return(now_ns, poses)
             if self.phase is Phase.LAND:
@@ -262,6 +294,7 @@ class Runner:
                 self._enter(Phase.DONE, now_ns)
             else:
                 self._frame.settle(self.fleet, now_ns)
+                self.fleet.hold_addresses(plan.signed_links)
                 self._monitor.begin(self.fleet)
                 self._yaw_ned_rad = frames.yaw_ned_from_quat(self.fleet.quat_ned_from_frd)
                 for line in self._frame.words():
@@ -269,6 +302,35 @@ class Runner:
                 self._words = Words()
                 self._arming = Arming(plan, self.fleet, self._station.commands)
                 self._enter(Phase.ARM, now_ns)
+
+    def _take(self, now_ns: int) -> None:
+        """Holds whoever is in the air, then brings everybody home whose place is known."""
+        state = self._take_over.step(now_ns)
+        for note in state.notes:
+            self._note("info", note)
+        self.problems = state.problems + state.waiting
+        self._yaw_ned_rad = self._take_over.yaw_ned_rad
+        if not state.done:
+            return
+        home = self._take_over.home
+        if not home.any():
+            self._refuse(state.problems or ["nobody is in the air; there is nothing to take over"], now_ns)
+            return
+        self._frame.settle_in_flight(self.fleet)
+        self.fleet.hold_addresses(self.plan.signed_links)
+        self._monitor.begin(self.fleet)
+        self._released |= ~home
+        self._monitor.leave(self._released)
+        self._climb.under_way[:] = False
+        self._flight.gather_ned_m = self._take_over.gather_ned_m()
+        self._takeoff_ns = now_ns
+        for line in self._frame.words():
+            self._note("info", line)
+        for problem in state.problems:
+            self._abort(problem)
+        names = ", ".join(str(sysid) for sysid in self.fleet.sysid[home])
+        self._note("info", f"taken over and brought home: vehicle {names}")
+        self._enter(Phase.RETURN, now_ns)
 
     def _arm(self, now_ns: int, poses: Poses) -> None:
         if now_ns - self._phase_ns < _STREAM_FIRST_NS:
@@ -282,21 +344,21 @@ class Runner:
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
-            self._assign(poses)
+            self._flight.assign(self.failsafe.roles)
             self._takeoff_ns = now_ns
             self._enter(Phase.TAKEOFF, now_ns)
         elif now_ns - self._phase_ns >= limits.arming_s * _SECOND_NS:
             self._give_up(self._arming.why_not(limits.arming_s, self._words.by_vehicle()), now_ns)
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
-        offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
+        offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
         height_m = (self._pads_ned_m - poses.pos_team_ned_m)[:, 2]
-        target_m = (self._pads_ned_m - self._gather_ned_m)[:, 2]
+        target_m = (self._pads_ned_m - self._flight.gather_ned_m)[:, 2]
         self._climb.step(now_ns, self.fleet, self._station.commands, height_m, target_m)
         near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
         if bool((near & ~self._climb.under_way).all()):
             if self._steady(now_ns):
-                self._next_step(now_ns, poses)
+                self._enter(self._flight.next_step(now_ns, poses), now_ns)
         else:
             self._steady_since_ns = NEVER
             if now_ns - self._phase_ns >= self.plan.spec.takeoff.timeout_s * _SECOND_NS:
@@ -307,64 +369,55 @@ class Runner:
                     for i in np.argsort(-offset)[:3].tolist()
                 )
                 self._give_up(f"takeoff not finished after {self.plan.spec.takeoff.timeout_s:g} s: {late}", now_ns)
-        return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
+        return self._guide.to_targets(poses, self._flight.gather_ned_m).vel_ned_m_s
 
     def _formation(self, now_ns: int, poses: Poses) -> FloatArray:
-        step = self.plan.spec.steps[self._step_index]
-        formation = self.plan.formation
-        error = formation_error_m(poses.pos_team_ned_m, formation.distances_m, self.role_of_agent)
-        if step.form is not None:
-            heights = formation.points_enu_m[:, 2]
-            upright = vertical_orientation(-poses.pos_team_ned_m[:, 2], heights, self.role_of_agent) >= 0.0
-            self._forming(step.form, error if upright else np.inf, now_ns, poses)
-        elif step.hold is not None:
-            self._holding(step.hold, error, now_ns, poses)
-        guidance = self._guide.formation(poses, self._given_task(), self.plan.control_gain)
-        self._count_gridlocks(guidance.blocked, now_ns)
-        return guidance.vel_ned_m_s
+        tick = self._flight.step(now_ns, poses, self._absent())
+        if tick.give_up:
+            self._give_up(tick.give_up, now_ns)
+        elif tick.enter is not None:
+            self._enter(tick.enter, now_ns)
+        if not self._flight.gone.any():
+            return tick.vel_ned_m_s
+        return np.where(self._flight.gone[:, None], self._fly_apart(now_ns, poses), tick.vel_ned_m_s)
 
-    def _forming(self, step: FormStep, error_m: float, now_ns: int, poses: Poses) -> None:
-        if error_m <= step.tolerance_m:
-            if self._steady(now_ns):
-                if np.isnan(self.figures.time_to_form_s):
-                    self.figures.time_to_form_s = (self._steady_since_ns - self._phase_ns) / _SECOND_NS
-                self.figures.converged = all(
-                    later.form is None for later in self.plan.spec.steps[self._step_index + 1 :]
-                )
-                self._next_step(now_ns, poses)
+    def _fly_apart(self, now_ns: int, poses: Poses) -> FloatArray:
+        """Those that no longer fly the formation: home, where they land, or standing where they are to land."""
+        home = self._flight.gather_ned_m
+        near = np.linalg.norm(poses.pos_team_ned_m - home, axis=1) < max(_PAD_TOLERANCE_M, self._spread_m)
+        near &= self._homing & ~self._landing.here
+        self._home_since_ns = np.where(near, np.where(self._home_since_ns == NEVER, now_ns, self._home_since_ns), NEVER)
+        arrived = np.flatnonzero(near & (now_ns - self._home_since_ns >= _STEADY_NS)).tolist()
+        self._stay_ned_m[arrived] = home[arrived]
+        self._landing.want_here(arrived, now_ns)
+        targets = np.where(self._homing[:, None] & ~self._landing.here[:, None], home, self._stay_ned_m)
+        return self._guide_apart.to_targets(poses, targets).vel_ned_m_s
+
+    def _going_on(self) -> bool:
+        """Whether the mission goes on without a vehicle that is lost now."""
+        phase = self._resume_to if self.phase is Phase.PAUSE else self.phase
+        return self.plan.spec.on_lost != "return_all" and phase in FORMATION_PHASES
+
+    def _part(self, vehicles: Sequence[int], reason: str, now_ns: int) -> None:
+        """Some vehicles drop out: the others come back, or go on without them, as the mission says."""
+        if not self._going_on():
+            self._give_up(reason, now_ns)
             return
+        why_not = self._flight.leave(vehicles, now_ns)
+        if why_not:
+            self._give_up(f"{reason}; {why_not}", now_ns)
+            return
+        self._abort(reason)
         self._steady_since_ns = NEVER
-        if now_ns - self._phase_ns >= step.timeout_s * _SECOND_NS:
-            self._give_up(
-                f"not formed after {step.timeout_s:g} s: a distance is {error_m:.3f} m off,"
-                f" tolerance is {step.tolerance_m:g} m",
-                now_ns,
-            )
-
-    def _holding(self, step: HoldStep, error_m: float, now_ns: int, poses: Poses) -> None:
-        self.figures.formation_error_m = float(np.fmax(self.figures.formation_error_m, error_m))
-        tolerance_m = next(
-            item.form.tolerance_m
-            for item in reversed(self.plan.spec.steps[: self._step_index])
-            if item.form is not None
-        )
-        if error_m <= _HOLD_TOLERANCE * tolerance_m:
-            self._steady_since_ns = NEVER
-        elif self._steady(now_ns):
-            self.figures.converged = False
-            self._give_up(
-                f"formation lost while holding: a distance is {error_m:.3f} m off, limit is"
-                f" {_HOLD_TOLERANCE:g} times the tolerance of {tolerance_m:g} m",
-                now_ns,
-            )
-            return
-        if now_ns - self._phase_ns >= step.seconds * _SECOND_NS:
-            self._next_step(now_ns, poses)
+        if self.phase is Phase.PAUSE:
+            self._resume_to, self._resume_phase_ns = Phase.FORM, NEVER
+        else:
+            self._enter(Phase.FORM, now_ns)
 
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
-        offset = np.linalg.norm(poses.pos_team_ned_m - self._gather_ned_m, axis=1)
+        offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
         away = (offset >= max(_PAD_TOLERANCE_M, self._spread_m)) & self.fleet.armed
-        away &= ~(self._released | self._landing.asked | self._monitor.blind | self._landing.lost(now_ns))
+        away &= ~(self._released | self._landing.here | self._monitor.blind | self._landing.lost(now_ns))
         if not away.any():
             if self._steady(now_ns):
                 self._enter(Phase.LAND, now_ns)
@@ -373,22 +426,48 @@ class Runner:
             if now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
-        setpoints = self._guide.to_targets(poses, self._gather_ned_m)
-        self._count_gridlocks(setpoints.blocked, now_ns)
-        return setpoints.vel_ned_m_s
+        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
+        return self._flight.fly_home(poses, self._absent(), targets)
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
         if self._takeoff_ns == NEVER:
             self._landing.disarm_on_the_ground(now_ns)
         else:
-            self._landing.want(range(self.plan.size), now_ns)
+            aside_m = np.linalg.norm((poses.pos_team_ned_m - self._flight.gather_ned_m)[:, :2], axis=1)
+            waits = self._lands_here & (aside_m >= max(_PAD_TOLERANCE_M, self._spread_m))
+            waits &= now_ns - self._phase_ns < self.plan.spec.land.timeout_s * _SECOND_NS
+            self._landing.want(np.flatnonzero(~waits).tolist(), now_ns)
         self._come_down(now_ns)
-        return self._guide.to_targets(poses, self._gather_ned_m).vel_ned_m_s
+        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
+        return self._guide.to_targets(poses, targets).vel_ned_m_s
+
+    def _pause(self, now_ns: int, poses: Poses) -> FloatArray:
+        """Stands still at the operator's word, as long as that is safe; avoidance stays on."""
+        why = self._too_low_to_hold()
+        if why is None and now_ns - self._phase_ns >= self.plan.spec.limits.hold_s * _SECOND_NS:
+            why = f"held for {self.plan.spec.limits.hold_s:g} s, which is the limit"
+        if why is not None:
+            self._give_up(f"{why}; the hold is over, everybody comes back", now_ns, urgent=True)
+        elif (self._landing.here | self._released | ~self.fleet.armed).all():
+            self._enter(Phase.LAND, now_ns)
+        return self._guide.to_targets(poses, self._stay_ned_m).vel_ned_m_s
+
+    def _too_low_to_hold(self) -> str | None:
+        """Words for a battery that does not allow standing still, None when all do."""
+        minimum = self.plan.spec.limits.battery_min
+        for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & ~self._released):
+            left = self.fleet.battery_remaining[vehicle]
+            return f"vehicle {self.fleet.sysid[vehicle]}: battery at {left:.0%}, minimum is {minimum:.0%}"
+        return None
 
     def _come_down(self, now_ns: int) -> None:
         """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
         up = self._landing.still_up(self._phase_ns, now_ns, self._released)
-        late = now_ns - self._phase_ns >= _DOWN_MAX_NS
+        up |= self._killing.not_shown() & ~self._landing.lost(now_ns)
+        down_max_ns = _DOWN_MAX_NS
+        if self.phase is Phase.SILENT and np.isfinite(self.failsafe.down_s):
+            down_max_ns += round(self.failsafe.down_s) * _SECOND_NS
+        late = now_ns - self._phase_ns >= down_max_ns
         if up.any() and not late:
             self._steady_since_ns = NEVER
             return
@@ -402,82 +481,184 @@ class Runner:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
-            self._abort(f"{', '.join(names)}: still armed after {_DOWN_MAX_NS // _SECOND_NS} s of landing")
+            self._abort(f"{', '.join(names)}: still armed after {down_max_ns // _SECOND_NS} s of landing")
         self._finish(now_ns)
+
+    # What the operator says
+
+    def _obey(self, line: str, poses: Poses, now_ns: int) -> None:
+        """Does what a line says, or says why not."""
+        try:
+            command = parse_command(line, self.fleet.sysid.tolist())
+        except ValueError as error:
+            self._note("alarm", str(error))
+            return
+        why = refusal(self.phase, command.order)
+        if command.order is Order.HOLD and why is None:
+            why = self._too_low_to_hold()
+        if why is not None:
+            self._note("alarm", f"operator: {command.text} refused: {why}")
+            return
+        self._note("info", f"operator: {command.text}")
+        if command.order is Order.KILL:
+            self._kill(command, now_ns)
+        elif command.order is Order.SILENCE:
+            self._note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
+            self._abort("stopped by the operator, setpoints ended")
+            self._enter(Phase.SILENT, now_ns)
+        elif command.order is Order.RESUME:
+            self._resume(now_ns)
+        elif command.order is Order.RETURN or self.phase in (Phase.CONNECT, Phase.ARM):
+            self._give_up("stopped by the operator", now_ns, stop=True, urgent=True)
+        elif command.order is Order.HOLD:
+            self._hold_still(poses, now_ns)
+        else:
+            self._land_now(command, poses, now_ns)
+
+    def _hold_still(self, poses: Poses, now_ns: int) -> None:
+        """Everybody stops; what the team was doing goes on where it was when the operator says so."""
+        self._resume_to, self._resume_phase_ns = self.phase, self._phase_ns
+        rest = self._rest(poses)
+        self._stay_ned_m = np.where(self._landing.here[:, None], self._stay_ned_m, rest)
+        # Who has left the ground stays where it is; a climb by command would go on to its end.
+        self._climb.under_way &= ~self.airborne
+        self._enter(Phase.PAUSE, now_ns)
+
+    def _resume(self, now_ns: int) -> None:
+        held_ns = now_ns - self._phase_ns
+        self._enter(self._resume_to, now_ns)
+        if self._resume_phase_ns != NEVER:
+            self._phase_ns = self._resume_phase_ns + held_ns
+            self._flight.stood_still(held_ns)
+
+    def _land_now(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
+        """Some, or all, come down where they are."""
+        if self.phase is Phase.SILENT:
+            self._spoken_to = True
+            self._landing.want(command.vehicles, now_ns)
+            return
+        rest = self._rest(poses)
+        if not command.everybody:
+            vehicles = [vehicle for vehicle in command.vehicles if not self._released[vehicle]]
+            for vehicle in command.vehicles:
+                name = f"vehicle {self.fleet.sysid[vehicle]}"
+                if self._released[vehicle]:
+                    self._note("alarm", f"operator: {name} is released and not ours to land")
+            self._stay_ned_m[vehicles] = rest[vehicles]
+            self._climb.under_way[vehicles] = False
+            self._landing.want_here(vehicles, now_ns)
+            if vehicles:
+                names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in vehicles)
+                self._part(vehicles, f"{names}: landed by the operator", now_ns)
+            return
+        self._abort("landed by the operator")
+        ours = ~(self._released | self._monitor.blind | self._landing.here)
+        fence = Fence.from_enu(np.array(self.plan.spec.fence.min_m), np.array(self.plan.spec.fence.max_m))
+        # They are called there when within the tolerance.
+        tolerance_m = max(_PAD_TOLERANCE_M, self._spread_m)
+        clearance_m = self.plan.spec.avoidance.activation_m + self.plan.margin_m + tolerance_m
+        self._flight.gather_ned_m = clear_spots(rest, ours, clearance_m, fence.min_team_ned_m, fence.max_team_ned_m)
+        aside_m = np.linalg.norm((self._flight.gather_ned_m - rest)[:, :2], axis=1)
+        for vehicle in np.flatnonzero(aside_m > 0.0).tolist():
+            name = f"vehicle {self.fleet.sysid[vehicle]}"
+            self._note("info", f"{name}: moves {aside_m[vehicle]:.2f} m aside before it lands; somebody is below")
+        self._lands_here = True
+        self._climb.under_way[:] = False
+        self._enter(Phase.LAND, now_ns)
+
+    def _kill(self, command: OperatorCommand, now_ns: int) -> None:
+        """Motors stop; whoever is killed is no longer ours."""
+        names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in command.vehicles)
+        self._killing.want(command.vehicles, now_ns)
+        self._released[list(command.vehicles)] = True
+        reason = f"{'everybody' if command.everybody else names}: killed by the operator"
+        if command.everybody or self.phase is Phase.CONNECT:
+            self._abort(reason)
+            if self.phase is not Phase.SILENT:
+                self._enter(Phase.SILENT, now_ns)
+        else:
+            self._part(command.vehicles, reason, now_ns)
+
+    def _rest(self, poses: Poses) -> FloatArray:
+        """Where everybody comes to rest when told to stop now, shape (n, 3)."""
+        stopping_s = self.plan.profile.lag_s + self.plan.profile.delay_s
+        return poses.pos_team_ned_m + stopping_s * poses.vel_ned_m_s
 
     # What the phases share
 
-    def _next_step(self, now_ns: int, poses: Poses) -> None:
-        self._step_index += 1
-        if self._step_index >= len(self.plan.spec.steps):
-            self._enter(Phase.RETURN, now_ns)
-            return
-        step = self.plan.spec.steps[self._step_index]
-        if step.form is not None:
-            self._enter(Phase.FORM, now_ns)
-        else:
-            self._enter(Phase.HOLD, now_ns)
+    def _absent(self) -> BoolArray:
+        """Vehicles that do not follow setpoints at the moment, shape (n,)."""
+        return self._monitor.hold | self._monitor.blind | self._monitor.foreign | self._released | self._landing.asked
 
-    def _assign(self, poses: Poses) -> None:
-        """Gives every vehicle its role, and its place in the air above its pad."""
-        plan = self.plan
-        if plan.spec.assignment == "auto":
-            assignment = assign_roles(frames.enu_from_ned(poses.pos_team_ned_m), plan.formation)
-            roles = assignment.role_of_agent
-        else:
-            roles = np.arange(plan.size)
-        self.role_of_agent = roles
-        self._task = task_for_roles(plan.formation, plan.gains, roles)
-        self._note("roles", "roles " + " ".join(str(role + 1) for role in roles), tuple(int(role) for role in roles))
-        # Where a mission does without the upright term, whoever ends higher can start a little higher: from one
-        # common height the law alone leaves to chance whether the formation stands upright or on its head.
-        height = self._height_of_agent()
-        spread = float(np.ptp(height))
-        share = (height - height.mean()) / spread if spread > 1e-9 else np.zeros(plan.size)
-        self._gather_ned_m = self._pads_ned_m.copy()
-        self._gather_ned_m[:, 2] -= plan.spec.takeoff.height_m + plan.spec.takeoff.stagger_m * share
-
-    def _given_task(self) -> Task:
-        if self._task is None:
-            raise RuntimeError("formation flight without roles")
-        return self._task
-
-    def _height_of_agent(self) -> FloatArray:
-        heights: FloatArray = self.plan.formation.points_enu_m[self.role_of_agent, 2]
-        return heights
-
-    def _watch(self, poses: Poses, now_ns: int) -> None:
-        """Acts on what the monitors find in the air."""
-        pose_ns, drift_m = self._frame.pose_ns(self.fleet), self._frame.drift_m(self.fleet, now_ns)
-        sight = Sight(poses.pos_team_ned_m, pose_ns, drift_m)
-        findings = self._monitor.look(self.fleet, sight, now_ns, self._landing.asked)
+    def _watch(self, poses: Poses, now_ns: int) -> Poses:
+        """Acts on what the monitors find in the air; returns the poses to steer by, with obstacles marked."""
+        fleet, pose_ns = self.fleet, self._frame.pose_ns(self.fleet)
+        poses = self._monitor.trusted(poses, pose_ns, now_ns)
+        excused = self._landing.asked | self._killing.asked
+        sight = Sight(
+            fleet=fleet,
+            now_ns=now_ns,
+            pos_team_ned_m=poses.pos_team_ned_m,
+            vel_ned_m_s=poses.vel_ned_m_s,
+            pose_ns=pose_ns,
+            drift_m=self._frame.drift_m(fleet, now_ns),
+            sent_ned_m_s=self._sent_ned_m_s,
+            steered=~(self._released | self._climb.under_way | self._monitor.hold | self._landing.here),
+            excused=excused,
+            blind=self._monitor.blind,
+            airborne=self.airborne,
+            going_on=self._going_on(),
+        )
+        findings = self._monitor.look(sight)
         for text in findings.alarms:
             self._note("alarm", text)
         for vehicle in findings.release:
             self._released[vehicle] = True
             self._station.commands.clear(vehicle)
-        self._landing.want(findings.land, now_ns)
-        self._landing.step(now_ns, poses, self._released)
+        if findings.land:
+            self._stay_ned_m[findings.land] = poses.pos_team_ned_m[findings.land]
+            self._landing.want_here(findings.land, now_ns)
+        if findings.gone:
+            self._homing[findings.home] = True
+            dropped = sorted({*findings.land, *findings.release, *findings.home})
+            if not self._flight.gone[dropped].all():
+                self._part(dropped, "; ".join(findings.gone), now_ns)
         if findings.abort:
             # One reason for each vehicle, the first: what is found of it later follows from that, and only alarms.
             subject = findings.abort.partition(":")[0]
             follows = any(part.startswith(f"{subject}:") for part in self.reason.split("; "))
-            self._give_up(findings.abort, now_ns, follows=follows)
+            self._give_up(findings.abort, now_ns, urgent=findings.urgent, follows=follows)
+        if findings.silence:
+            self._abort(findings.silence)
+            self._enter(Phase.SILENT, now_ns)
+        poses = self._monitor.obstacles(poses, fleet, pose_ns, self._landing.asked, now_ns)
+        self._landing.step(now_ns, poses, self._released)
+        # Nobody stays under a vehicle that comes down.
+        sinking = poses.sinking | (self._landing.here & fleet.armed) | self._killing.falling(now_ns)
+        return replace(poses, sinking=sinking)
 
-    def _give_up(self, reason: str, now_ns: int, *, stop: bool = False, follows: bool = False) -> None:
+    def _give_up(
+        self, reason: str, now_ns: int, *, stop: bool = False, urgent: bool = False, follows: bool = False
+    ) -> None:
         """Ends the mission early: on the ground at once, in the air by way of the pads.
 
         Args:
             reason: for the report.
             now_ns: time of the tick.
             stop: stand still for a moment first; not when somebody may have to get out of another one's way.
+            urgent: does not wait for the end of an operator's hold.
             follows: the reason only follows from one that was given before.
         """
         if not follows:
             self._abort(reason)
-        if self.phase in (Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
+        if self.phase in (Phase.TAKEOVER, Phase.RETURN, Phase.LAND, Phase.SILENT, Phase.DONE, Phase.STOP):
             return
-        if self.phase is Phase.CONNECT:
+        if self.phase is Phase.PAUSE:
+            # A hold is the operator's: whatever stands below may be why. The team comes back when it is over.
+            self._resume_to, self._resume_phase_ns = Phase.RETURN, NEVER
+            if urgent:
+                self._enter(Phase.RETURN, now_ns)
+        elif self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
             for vehicle in range(self.plan.size):
@@ -532,15 +713,11 @@ class Runner:
             self._words.said(text)
 
     def _measure(self, poses: Poses) -> None:
-        distance = min_distance_m(poses.pos_team_ned_m, self.airborne & ~self._monitor.blind)
+        counted = np.asarray(self.airborne & ~self._monitor.blind, dtype=np.bool_)
+        distance = min_distance_m(poses.pos_team_ned_m, counted)
         self.figures.min_distance_m = min(self.figures.min_distance_m, distance)
-
-    def _count_gridlocks(self, blocked: BoolArray, now_ns: int) -> None:
-        """Counts each time that an agent has stood without a free direction for more than a second."""
-        self._blocked_since_ns = np.where(
-            blocked, np.where(self._blocked_since_ns == NEVER, now_ns, self._blocked_since_ns), NEVER
-        )
-        self._blocked_counted &= blocked
-        stuck = blocked & (now_ns - self._blocked_since_ns >= _SECOND_NS) & ~self._blocked_counted
-        self.figures.gridlocks += int(stuck.sum())
-        self._blocked_counted |= stuck
+        if isinstance(self._region, SafetySphere):
+            self.figures.min_clearance = self.figures.min_distance_m / self._region.radius_m
+        else:
+            clearance = min_clearance(poses.pos_team_ned_m, self._region, counted)
+            self.figures.min_clearance = min(self.figures.min_clearance, clearance)

@@ -35,11 +35,18 @@ class ScaleSpec(_Strict):
 
 
 class AvoidanceSpec(_Strict):
-    """Safety radius r and activation distance d of Algorithm 2."""
+    """Safety radius r and activation distance d of Algorithm 2, and what stands above and below where it is no ball."""
 
     radius_m: Positive
     activation_m: Positive
-    shape: Literal["sphere"] = "sphere"
+    shape: Literal["sphere", "cylinder", "ellipsoid"] = "sphere"
+    half_height_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _spheres_have_none(self) -> AvoidanceSpec:
+        if self.shape == "sphere" and self.half_height_m is not None:
+            raise ValueError("half_height_m belongs to shape: cylinder or ellipsoid; a sphere has radius_m only")
+        return self
 
 
 class TakeoffSpec(_Strict):
@@ -51,10 +58,20 @@ class TakeoffSpec(_Strict):
 
 
 class FormStep(_Strict):
-    """Form until every distance is within tolerance."""
+    """Form until every distance is within tolerance; what is not given is as at the top of the mission."""
 
     tolerance_m: Positive = 0.05
     timeout_s: Positive = 60.0
+    formation: str | None = None
+    gains: str | None = None
+    formation_scale: Positive | None = None
+    scale: ScaleSpec | None = None
+    assignment: Literal["auto", "fixed"] | None = None
+
+    @property
+    def own_shape(self) -> bool:
+        """Whether it names points, size or gains of its own."""
+        return not (self.formation is None and self.gains is None and self.formation_scale is None)
 
 
 class HoldStep(_Strict):
@@ -63,11 +80,21 @@ class HoldStep(_Strict):
     seconds: Positive = 5.0
 
 
+class MoveStep(_Strict):
+    """Move, turn and scale the formation as one; without a duration as fast as half of the limits allow."""
+
+    by_m: Point = (0.0, 0.0, 0.0)
+    turn_deg: Annotated[Number, Field(ge=-3600, le=3600)] = 0.0
+    scale: Annotated[Number, Field(ge=0.1, le=10)] = 1.0
+    seconds: Positive | None = None
+
+
 class Step(_Strict):
     """One step: exactly one of its keys."""
 
     form: FormStep | None = None
     hold: HoldStep | None = None
+    move: MoveStep | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -102,7 +129,27 @@ class LimitsSpec(_Strict):
     arming_s: Positive = 60.0
     pad_error_m: Positive | None = None
     frame_drift_m: Positive | None = None
+    hold_s: Positive = 300.0
+    pose_jump_m: Positive | None = None
+    tilt_deg: Annotated[Number, Field(ge=10, le=180)] = 60.0
+    fence_beyond_m: Positive = 0.3
+    tracking_m_s: Positive | None = None
+    late_s: Positive = 1.0
+    lost_radius_m: NotNegative | None = None
     battery_min: Annotated[Number, Field(ge=0, lt=1)] = 0.2
+    battery_warn: Annotated[Number, Field(ge=0, lt=1)] | None = None
+    battery_land: Annotated[Number, Field(ge=0, lt=1)] | None = None
+    battery_min_v: Positive | None = None
+    battery_land_v: Positive | None = None
+
+
+class FailsafeSpec(_Strict):
+    """What the team does when nobody steers it any more, and whether its parameters are set to that."""
+
+    action: Literal["auto", "return", "land", "hold", "own"] = "auto"
+    hold_s: Annotated[Number, Field(ge=10, le=60)] = 20.0
+    ceiling_m: Positive | None = None
+    set_parameters: bool = False
 
 
 class AnchorSpec(_Strict):
@@ -111,6 +158,19 @@ class AnchorSpec(_Strict):
     lat_deg: Annotated[float, Field(ge=-89, le=89)]
     lon_deg: Annotated[float, Field(ge=-180, le=180)]
     alt_m: Annotated[float, Field(ge=-500, le=9000)]
+
+
+class LinkSigningSpec(_Strict):
+    """Signing of one link; ``key_file: null`` leaves it unsigned."""
+
+    key_file: Annotated[str, Field(min_length=1)] | None = None
+    link_id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=0, le=255)] | None = None
+
+
+class SigningSpec(LinkSigningSpec):
+    """MAVLink 2 signing: of all links, and of single ones that differ, by address."""
+
+    links: dict[str, LinkSigningSpec] = {}
 
 
 class VehicleSpec(_Strict):
@@ -124,12 +184,23 @@ class VehicleSpec(_Strict):
     origin: Literal["pad", "team", "gps", "declared"] = "pad"
     origin_m: Point | None = None
     position: Literal["local", "global"] = "local"
+    endurance_s: Positive | None = None
 
     @model_validator(mode="after")
     def _declared(self) -> VehicleSpec:
         if (self.origin == "declared") != (self.origin_m is not None):
             raise ValueError("origin: declared and origin_m, the place of the local frame's origin, go together")
         return self
+
+
+class ProfileSpec(_Strict):
+    """A profile of this mission, or other figures for one that is known; what is not given is as in ``like``."""
+
+    like: str | None = None
+    lag_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    delay_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    acceleration_max_m_s2: Annotated[Number, Field(gt=0, le=100)] | None = None
+    position_error_m: Positive | None = None
 
 
 class MissionSpec(_Strict):
@@ -148,16 +219,21 @@ class MissionSpec(_Strict):
     scale: ScaleSpec = ScaleSpec()
     avoidance: AvoidanceSpec
     assignment: Literal["auto", "fixed"] = "auto"
+    role_swaps: Literal["auto"] | bool = "auto"
     min_altitude_m: NotNegative | None = None
     takeoff: TakeoffSpec = TakeoffSpec()
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
     land: LandSpec = LandSpec()
+    on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
     limits: LimitsSpec = LimitsSpec()
+    failsafe: FailsafeSpec = FailsafeSpec()
     positioning: Literal["mocap", "rtk", "gps"] | None = None
     position_error_m: Positive | None = None
     anchor: AnchorSpec | None = None
     set_gps_origin: bool = False
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
+    signing: SigningSpec | None = None
+    profiles: dict[str, ProfileSpec] = {}
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]

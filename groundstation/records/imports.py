@@ -216,7 +216,8 @@ def _times(path: Path) -> IntArray:
     times: list[int] = []
     for line, row in _rows(path):
         try:
-            unix_us = int((Decimal(row[0]) * 1_000_000).to_integral_value())
+            unix_s = Decimal(row[0])  # judged before it is written out: 1e999999999 would take all memory
+            unix_us = int((unix_s * 1_000_000).to_integral_value()) if 0 < unix_s < LATEST_UNIX_US // 1_000_000 else -1
         except (InvalidOperation, ValueError, OverflowError, IndexError):
             unix_us = -1
         if len(row) != 1 or not 0 < unix_us < LATEST_UNIX_US:

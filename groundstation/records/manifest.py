@@ -15,6 +15,7 @@ import json
 import math
 import os
 import platform
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import metadata
@@ -29,6 +30,8 @@ FORMAT_VERSION = 1
 DRY_RUN_EPOCH_UNIX_US = 1_577_836_800_000_000
 """2020-01-01T00:00:00Z: t = 0 of every dry run."""
 
+_BYTES_MAX = 1 << 29
+_LATEST_UNIX_US = 4_102_444_800_000_000  # 2100-01-01
 _NOT_REPEATABLE = ("wall_s", "log")
 """Keys of a result that differ between equal dry runs."""
 
@@ -54,6 +57,7 @@ class Manifest:
         versions: program name to version.
         seed: of the random numbers; None when none were drawn.
         dry_run: whether the emulator flew in virtual time.
+        take_over: the flight began in the air, with vehicles that another ground station had left there.
         gains_npz: the gains file, byte by byte; None when no gains are known.
         result: how it ended; None while it flies, and for ever after a crash.
     """
@@ -63,6 +67,7 @@ class Manifest:
     versions: Mapping[str, str] = field(default_factory=dict)
     seed: int | None = None
     dry_run: bool = False
+    take_over: bool = False
     gains_npz: bytes | None = None
     result: Mapping[str, Any] | None = None
 
@@ -85,6 +90,7 @@ class Manifest:
             "versions": self.versions,
             "seed": self.seed,
             "dry_run": self.dry_run,
+            "take_over": self.take_over,
             "gains_sha256": self.gains_sha256,
             "gains_npz_base64": None if self.gains_npz is None else base64.b64encode(self.gains_npz).decode(),
             "result": self.result,
@@ -126,8 +132,12 @@ def read_manifest(path: Path) -> Manifest:
             those whose hash it gives.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        with path.open("rb") as file:
+            content = file.read(_BYTES_MAX + 1)
+        if len(content) > _BYTES_MAX:
+            raise ValueError(f"longer than {_BYTES_MAX >> 20} MB")
+        values = json.loads(content.decode("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, not JSON, a number without end
         raise UserError(
             f"{path}: not a readable manifest: {error}; move it away to read the log without one"
         ) from error
@@ -147,9 +157,15 @@ def read_manifest(path: Path) -> Manifest:
         versions=_expect(path, values, "versions", dict),
         seed=_expect(path, values, "seed", int, type(None)),
         dry_run=_expect(path, values, "dry_run", bool),
+        take_over=_expect(path, {"take_over": False} | values, "take_over", bool),  # older ones do not have it
         gains_npz=gains,
         result=_expect(path, values, "result", dict, type(None)),
     )
+    if not 0 <= manifest.epoch_unix_us <= _LATEST_UNIX_US:
+        raise UserError(
+            f"{path}: epoch_unix_us is {reprlib.repr(manifest.epoch_unix_us)}, limits 0 and {_LATEST_UNIX_US}; the"
+            " manifest is damaged"
+        )
     if _expect(path, values, "gains_sha256", str, type(None)) != manifest.gains_sha256:
         raise UserError(f"{path}: gains_sha256 is not the hash of gains_npz_base64; the manifest was changed")
     return manifest
@@ -193,7 +209,7 @@ def _expect(path: Path, values: Mapping[str, Any], key: str, *kinds: type) -> An
     value = values[key]
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
         names = " or ".join("null" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise UserError(f"{path}: {key} is {value!r}, expected {names}")
+        raise UserError(f"{path}: {key} is {reprlib.repr(value)}, expected {names}")
     return value
 
 

@@ -27,6 +27,9 @@ NOISE_SUBJECT = 256
 OWN_SUBJECT = 257
 """Subject of an ORIGIN note before a frame that bears the ground station's own ids and yet was received."""
 
+REFUSED_SUBJECT = 258
+"""Subject of an ORIGIN note that tells where a REFUSED frame came from."""
+
 PHASE_PREFIX = "phase: "
 """An EVENT of this form begins a phase of the team; it lasts until the next one."""
 
@@ -54,6 +57,8 @@ class Kind(IntEnum):
     """uint8 1 if more follows, then UTF-8 text."""
     ROLES = 0x9006
     """uint16 first vehicle (from 0), uint16 number of vehicles, uint16 role of each from there on; 0 is none."""
+    REFUSED = 0x9007
+    """uint8 1 if more follows, then: uint8 why (1 unsigned, 2 wrong signature, 3 old time stamp), the whole frame."""
 
 
 class Received(NamedTuple):
@@ -116,7 +121,17 @@ class Noise(NamedTuple):
     data: bytes
 
 
-Record = Received | Sent | Tick | Operator | Event | Roles | Noise
+class Refused(NamedTuple):
+    """A frame that arrived and was not let in; ``why`` is 1 unsigned, 2 wrong signature, 3 old time stamp."""
+
+    t_ns: int
+    link: int
+    peer: str
+    why: int
+    frame: bytes
+
+
+Record = Received | Sent | Tick | Operator | Event | Roles | Noise | Refused
 
 
 class Origin(NamedTuple):

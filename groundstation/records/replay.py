@@ -7,8 +7,11 @@ the mission object again (that needs more than a log) and draws nothing.
 
 from __future__ import annotations
 
+import itertools
+import re
+import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,9 @@ from groundstation.mavlink.codec import Frame, decode, message_id
 from groundstation.records.manifest import Manifest, manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
 from groundstation.records.tlog import TlogReader, read_tlog
+
+_FORMATION_EVENT = re.compile(r"info: formation of step (\d+): .+, scale (changing|free|[0-9.e+-]+)$")
+"""Tells from which step the formation is from then on, and by how much it has grown since."""
 
 MAX_GAP_NS = 1_000_000_000
 """Between two samples further apart than this a position is not interpolated but unknown."""
@@ -60,11 +66,15 @@ class FlightFormation:
         name: for titles.
         points_enu_m: desired points, shape (n, 3), scale applied.
         edges: pairs of neighbouring roles, from 0.
+        start_ns: from when on it was flown.
+        sized: its distances are what the team was to keep; False while its size changes or is free.
     """
 
     name: str
     points_enu_m: FloatArray
     edges: tuple[tuple[int, int], ...]
+    start_ns: int = 0
+    sized: bool = True
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,7 @@ class Flight:
         name: of the mission, or of the file.
         manifest: None when there is none beside the log.
         vehicles: in the order of the mission, or by system id without a manifest.
-        formation: None when the manifest names none.
+        formations: one after the other, at their sizes; empty when the manifest names none.
         safety_radius_m: r of Algorithm 2; None when not known.
         roles: changes of the vehicles' roles, in order of time.
         events: in order of time.
@@ -100,7 +110,7 @@ class Flight:
     name: str
     manifest: Manifest | None
     vehicles: tuple[VehicleTrack, ...]
-    formation: FlightFormation | None
+    formations: tuple[FlightFormation, ...]
     safety_radius_m: float | None
     roles: tuple[Roles, ...]
     events: tuple[Event, ...]
@@ -132,6 +142,16 @@ class Flight:
         """How often a vehicle's role changed after the first assignment, all vehicles together."""
         pairs = zip(self.roles, self.roles[1:], strict=False)
         return sum(a != b for old, new in pairs for a, b in zip(old.roles, new.roles, strict=False))
+
+    @property
+    def formation(self) -> FlightFormation | None:
+        """The formation that the flight began with; None when it is not known."""
+        return self.formations[0] if self.formations else None
+
+    def formation_at(self, t_ns: int) -> FlightFormation | None:
+        """The formation under way at a time, the first one before any."""
+        before = [item for item in self.formations if item.start_ns <= t_ns]
+        return before[-1] if before else self.formation
 
     @property
     def distances_known(self) -> bool:
@@ -206,18 +226,21 @@ class Flight:
             Shape (t,), metres; NaN where a position or the formation is unknown, or fewer than two have a role.
         """
         error = np.full(len(t_ns), np.nan)
-        if self.formation is None or not self.distances_known:
+        if not self.formations or not self.distances_known:
             return error
-        points = self.formation.points_enu_m
-        wanted = np.linalg.norm(points[:, None] - points[None], axis=-1)
         first, second = np.triu_indices(len(self.vehicles), 1)
         distances = self.distances_at(t_ns)
-        for k, change in enumerate(self.roles):
-            stop = self.roles[k + 1].t_ns if k + 1 < len(self.roles) else np.iinfo(np.int64).max
-            span = (t_ns >= change.t_ns) & (t_ns < stop)
-            if len(change.roles) != len(self.vehicles) or not span.any():
+        starts = sorted({item.t_ns for item in self.roles} | {item.start_ns for item in self.formations})
+        for start, stop in itertools.pairwise([*starts, np.iinfo(np.int64).max]):
+            span = (t_ns >= start) & (t_ns < stop)
+            roles, formation = self.roles_at(start), self.formation_at(start)
+            if roles is None or len(roles) != len(self.vehicles) or not span.any():
                 continue
-            role = np.array([-1 if item is None or item >= len(points) else item for item in change.roles])
+            if formation is None or not formation.sized:
+                continue
+            points = formation.points_enu_m
+            wanted = np.linalg.norm(points[:, None] - points[None], axis=-1)
+            role = np.array([-1 if item is None or item >= len(points) else item for item in roles])
             pairs = (role[first] >= 0) & (role[second] >= 0)
             if pairs.any():
                 target = wanted[role[first[pairs]], role[second[pairs]]]
@@ -275,6 +298,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
                 noise_bytes += len(record.data)
     mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
     result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    _check_kinds(path, mission, result)
     settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), None)
     if settled_ns is not None:
         lost_ns = _frames_lost_ns(positions, origins, settled_ns)
@@ -288,7 +312,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         name=str(mission.get("name") or path.stem),
         manifest=manifest,
         vehicles=_tracks(path, mission, result, positions, setpoints),
-        formation=_formation(path, mission),
+        formations=_formations(path, mission, events),
         safety_radius_m=_radius(path, mission),
         roles=tuple(roles),
         events=tuple(events),
@@ -331,6 +355,32 @@ def _frames_lost_ns(
                 lost_ns[frame.sysid] = min(lost_ns.get(frame.sysid, t_ns), t_ns - _TOLD_LATE_NS)
             told[frame.sysid] = place
     return lost_ns
+
+
+def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> None:
+    """Looks whether what is read here has the kinds of values that it is read as.
+
+    Raises:
+        UserError: a manifest of another program, or a damaged one.
+    """
+    for where, values, key, kinds in (
+        ("mission", mission, "vehicles", list),
+        ("mission", mission, "formation", Mapping),
+        ("mission", mission, "avoidance", Mapping),
+        ("result", result, "local_origins_enu_m", list),
+    ):
+        if not isinstance(values.get(key), kinds | None):
+            raise UserError(f"{path}: manifest: {where}.{key}: {reprlib.repr(values[key])}; the manifest is damaged")
+    for index, vehicle in enumerate(mission.get("vehicles") or ()):
+        sysid = vehicle.get("id") if isinstance(vehicle, Mapping) else None
+        if type(sysid) is not int or not 0 <= sysid <= 255:
+            raise UserError(f"{path}: manifest: mission.vehicles[{index}]: no usable id; the manifest is damaged")
+    for index, origin in enumerate(result.get("local_origins_enu_m") or ()):
+        if not isinstance(origin, list | None):
+            raise UserError(
+                f"{path}: manifest: result.local_origins_enu_m[{index}]: {reprlib.repr(origin)}; the manifest is"
+                " damaged"
+            )
 
 
 def _tracks(
@@ -420,12 +470,34 @@ def _offsets(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) 
     return offsets
 
 
-def _formation(path: Path, mission: Mapping[str, Any]) -> FlightFormation | None:
-    given = mission.get("formation")
+def _formations(path: Path, mission: Mapping[str, Any], events: Sequence[Event]) -> tuple[FlightFormation, ...]:
+    """The formations of a flight, each from when on it was flown, as its events tell."""
+    where = f"{path}: manifest: mission"
+    first = _formation(f"{where}.formation", mission.get("formation"))
+    if first is None:
+        return ()
+    own: dict[int, FlightFormation] = {}
+    for index, item in enumerate(mission.get("shapes") or ()):
+        shape = _formation(f"{where}.shapes[{index}].formation", item.get("formation"))
+        if shape is not None:
+            own[int(item.get("step", -1)) + 1] = shape
+    found = []
+    for event in events:
+        told = _FORMATION_EVENT.match(event.text)
+        if told is None:
+            continue
+        shape, scale = own.get(int(told[1]), first), told[2]
+        number = float(scale) if scale not in ("changing", "free") else None
+        points = shape.points_enu_m * (1.0 if number is None else number)
+        found.append(replace(shape, points_enu_m=points, start_ns=event.t_ns, sized=number is not None))
+    return tuple(found) if found else (first,)
+
+
+def _formation(where: str, given: object) -> FlightFormation | None:
     if not isinstance(given, Mapping):
         return None
-    where = f"{path}: manifest: mission.formation"
-    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * float(given.get("scale", 1.0))
+    scale = _vectors(f"{where}.scale", given.get("scale", 1.0), ())
+    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
     edges = given.get("edges", ())
     n = len(points)
     if edges == "complete":
@@ -452,9 +524,11 @@ def _vectors(where: str, value: object, shape: tuple[int, ...]) -> FloatArray:
     try:
         array = np.array(value, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{where}: {value!r} are not the numbers expected; the manifest is damaged") from error
+        raise UserError(
+            f"{where}: {reprlib.repr(value)} are not the numbers expected; the manifest is damaged"
+        ) from error
     if not np.all(np.isfinite(array)):
-        raise UserError(f"{where}: {value!r}: expected finite numbers; the manifest is damaged")
+        raise UserError(f"{where}: {reprlib.repr(value)}: expected finite numbers; the manifest is damaged")
     return array
 
 

@@ -17,12 +17,22 @@ from types import TracebackType
 from typing import Protocol
 
 from groundstation.core.errors import UserError
-from groundstation.mavlink.codec import MAGIC_V1, MAGIC_V2, Encoder, Frame, FrameSplitter, message_id, message_name
+from groundstation.mavlink.codec import (
+    MAGIC_V1,
+    MAGIC_V2,
+    Encoder,
+    Frame,
+    Splitters,
+    message_id,
+    message_name,
+    whole_frame,
+)
 from groundstation.records.notes import (
     FORMAT_VERSION,
     NOISE_BYTES,
     NOISE_SUBJECT,
     OWN_SUBJECT,
+    REFUSED_SUBJECT,
     Event,
     Kind,
     Noise,
@@ -30,6 +40,7 @@ from groundstation.records.notes import (
     Origin,
     Received,
     Record,
+    Refused,
     Roles,
     Sent,
     pack_header,
@@ -53,7 +64,10 @@ _FLUSH_BYTES = 1 << 16
 LATEST_UNIX_US = 4_102_444_800_000_000  # 2100-01-01
 _NEAR_US = 86_400_000_000  # one day: neighbours in a log are nearer than that
 _MAGIC = re.compile(b"[\xfd\xfe]")
-_SIGNING_FRAME = re.compile(rb"\xfd.{6}\x00\x01\x00.*", re.DOTALL)
+_SIGNING_HEADER = re.compile(rb"\xfd.{6}\x00\x01\x00", re.DOTALL)
+_SIGNING_BYTES = 10 + 42 + 2 + 13  # header, payload with the key, checksum, signature
+_SECRETS_MAX = 256
+_JOINED_MAX = 1 << 20  # bytes of one note; a datagram has 65,535 at most
 
 
 class Sink(Protocol):
@@ -97,18 +111,23 @@ class TlogWriter:
         stream_links: Collection[int] = (),
     ) -> None:
         self._file = _create(target) if isinstance(target, Path) else target
+        self._path = target if isinstance(target, Path) else None
+        self._identity = self._path.stat() if self._path is not None else os.stat_result((0,) * 10)
         self._name = str(target) if isinstance(target, Path) else "log"
         self._epoch_unix_us = epoch_unix_us
         self._sender = (sysid, compid)
         self._notes = Encoder(sysid, compid)
         self._stream_links = frozenset(stream_links)
-        self._datagrams = FrameSplitter()
-        self._streams: dict[tuple[int, str], FrameSplitter] = {}
+        self._splitters = Splitters()
+        self._secrets: dict[tuple[int, str], tuple[bytes, int]] = {}
         self._origins: dict[int, tuple[int, str]] = {}
         self._buffer = bytearray()
         self._flushed_ns: int | None = None
         self._closed = False
         self.problem: str | None = None
+        if self._path is not None:  # a log that is cut off at once is a log all the same
+            self._begin(0)
+            self._flush()
 
     def __enter__(self) -> TlogWriter:
         """Returns itself."""
@@ -131,10 +150,7 @@ class TlogWriter:
         """
         if self.problem is not None:
             return
-        splitter = self._datagrams
-        if link in self._stream_links:
-            splitter = self._streams.setdefault((link, peer), FrameSplitter(datagrams=False))
-        for piece in splitter.feed(data):
+        for piece in self._splitters.feed((link, peer), data, stream=link in self._stream_links):
             if not isinstance(piece, Frame):
                 self._noise(link, peer, piece, t_ns)
             elif piece.msgid != _SETUP_SIGNING:
@@ -145,9 +161,17 @@ class TlogWriter:
                     self._origin(subject, link, peer, t_ns)
                 self._write(piece.raw, t_ns)
 
+    def refused(self, link: int, peer: str, frame: Frame, why: int, t_ns: int) -> None:
+        """Records a frame that arrived and was not let in; see ``notes.Refused``."""
+        if frame.msgid == _SETUP_SIGNING:
+            return
+        if self._origins.get(REFUSED_SUBJECT) != (link, peer):
+            self._origin(REFUSED_SUBJECT, link, peer, t_ns)
+        self._note_pieces(Kind.REFUSED, pack_text(bytes((why,)) + frame.raw), t_ns)
+
     def sent(self, frame: bytes, t_ns: int) -> None:
         """Records one frame that went out."""
-        if not _SIGNING_FRAME.match(frame):
+        if not _SIGNING_HEADER.match(frame):
             self._write(frame, t_ns)
 
     def tick(self, t_ns: int, number: int) -> None:
@@ -182,9 +206,24 @@ class TlogWriter:
     def _noise(self, link: int, peer: str, data: bytes, t_ns: int) -> None:
         if self._origins.get(NOISE_SUBJECT) != (link, peer):
             self._origin(NOISE_SUBJECT, link, peer, t_ns)
-        # A damaged SETUP_SIGNING may still show the key: from its header on only the number of bytes is kept.
-        data = _SIGNING_FRAME.sub(lambda match: bytes(len(match[0])), data)
-        self._note_pieces(Kind.NOISE, pack_text(data, NOISE_BYTES), t_ns)
+        self._note_pieces(Kind.NOISE, pack_text(self._without_keys((link, peer), data), NOISE_BYTES), t_ns)
+
+    def _without_keys(self, source: tuple[int, str], data: bytes) -> bytes:
+        """Zeroes what may be the rest of a damaged SETUP_SIGNING, which still shows the key; also in pieces."""
+        tail, owed = self._secrets.pop(source, (b"", 0))
+        joined = tail + data
+        shown = bytes(min(owed, len(data))) + data[owed:]
+        owed = max(owed - len(data), 0)
+        header = _SIGNING_HEADER.search(joined)
+        if header is not None:
+            start = max(header.start() - len(tail), 0)
+            shown = shown[:start] + bytes(len(data) - start)
+            owed = max(owed, _SIGNING_BYTES - (len(joined) - header.start()), 0)
+        if owed or 0xFD in joined[-9:]:
+            if len(self._secrets) >= _SECRETS_MAX:
+                del self._secrets[next(iter(self._secrets))]
+            self._secrets[source] = (joined[-9:], owed)
+        return shown
 
     def _origin(self, subject: int, link: int, peer: str, t_ns: int) -> None:
         self._origins[subject] = (link, peer)
@@ -221,6 +260,8 @@ class TlogWriter:
                 taken = self._file.write(bytes(view))
                 view = view[len(view) if taken is None else taken :]
             self._file.flush()
+            if self._path is not None and not os.path.samestat(self._path.stat(), self._identity):
+                raise FileNotFoundError(0, "the file was replaced while it was written")
         except OSError as error:
             self._fail(error)
         self._buffer = bytearray()
@@ -261,7 +302,6 @@ class TlogReader:
         """
         self._data = data
         self._name = name
-        self._splitter = FrameSplitter()
         self.damaged_bytes = 0
         self.truncated_bytes = 0
         if not data:
@@ -286,7 +326,8 @@ class TlogReader:
                 )
             self.native = True
             self._sender = (frame.sysid, frame.compid)
-            self.epoch_unix_us = epoch
+            if 0 <= epoch <= LATEST_UNIX_US:  # else damage that no checksum saw
+                self.epoch_unix_us = epoch
 
     @property
     def message(self) -> str | None:
@@ -305,6 +346,8 @@ class TlogReader:
     def _foreign_records(self) -> Iterator[Record]:
         """Everything is received but what bears the system id that ground stations use."""
         for stamp_us, frame in self._frames():
+            if frame.msgid == _SETUP_SIGNING:  # other programs may have written it: it is not handed on
+                continue
             t_ns = (stamp_us - self.epoch_unix_us) * 1000
             yield Sent(t_ns, frame) if frame.sysid == GROUND_SYSID else Received(t_ns, 0, "", frame)
 
@@ -363,9 +406,8 @@ class TlogReader:
         stop = start + 8 + size
         if stop > len(data) or stamp_us > LATEST_UNIX_US:
             return None
-        pieces = self._splitter.feed(data[start + 8 : stop])
-        frame = pieces[0]
-        if len(pieces) != 1 or not isinstance(frame, Frame):
+        frame = whole_frame(data[start + 8 : stop])
+        if frame is None:
             return None
         known = message_name(frame.msgid) is not None
         near = last_us is None or abs(stamp_us - last_us) <= _NEAR_US
@@ -387,7 +429,7 @@ class _Assembler:
     """
 
     def __init__(self) -> None:
-        self._parts: dict[int, bytes] = {}
+        self._parts: dict[int, bytearray] = {}
         self._roles: list[int | None] = []
         self.origins: dict[int, tuple[int, str]] = {}
         self.next_is_received = False
@@ -400,11 +442,14 @@ class _Assembler:
             if kind == Kind.ROLES:
                 return self._take_roles(t_ns, payload)
             if kind in _IN_PARTS and payload:
-                text = self._parts.pop(kind, b"") + payload[1:]
+                text = self._parts.pop(kind, bytearray())
+                text += payload[1:]
+                if len(text) > _JOINED_MAX:
+                    return None  # nobody writes as much: damage, or somebody who means to fill the memory
                 if payload[0]:
                     self._parts[kind] = text
                     return None
-                return _IN_PARTS[Kind(kind)](self, t_ns, text)
+                return _IN_PARTS[Kind(kind)](self, t_ns, bytes(text))
         return None
 
     def _take_roles(self, t_ns: int, payload: bytes) -> Record | None:
@@ -423,6 +468,9 @@ class _Assembler:
     def _take_noise(self, t_ns: int, data: bytes) -> Record:
         return Noise(t_ns, *self.origins.get(NOISE_SUBJECT, (0, "")), data)
 
+    def _take_refused(self, t_ns: int, joined: bytes) -> Record | None:
+        return Refused(t_ns, *self.origins.get(REFUSED_SUBJECT, (0, "")), joined[0], joined[1:]) if joined else None
+
     def _take_operator(self, t_ns: int, text: bytes) -> Record:
         return Operator(t_ns, text.decode(errors="replace"))
 
@@ -435,6 +483,7 @@ _IN_PARTS: dict[int, Callable[[_Assembler, int, bytes], Record | None]] = {
     Kind.NOISE: _Assembler._take_noise,
     Kind.OPERATOR: _Assembler._take_operator,
     Kind.EVENT: _Assembler._take_event,
+    Kind.REFUSED: _Assembler._take_refused,
 }
 
 

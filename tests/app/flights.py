@@ -9,9 +9,10 @@ from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
+from groundstation.app.signing import open_gate
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.runner import Note, Phase, Runner
-from groundstation.records.manifest import Manifest, manifest_path, write_manifest
+from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
 from sitl.world import Outgoing, World, WorldConfig
 
@@ -38,13 +39,16 @@ class Flight:
         world: World | None = None,
         change: Callable[[WorldConfig], WorldConfig] | None = None,
         prepare: Callable[[World], None] | None = None,
+        take_over: bool = False,
     ) -> None:
         self.plan = plan
+        self.take_over = take_over
         config = config or world_config(plan, seed)
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self.runner = Runner(plan, 0)
+        self.gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
+        self.runner = Runner(plan, 0, whole_frames=self.gate is not None, take_over=take_over)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -57,7 +61,7 @@ class Flight:
         self._begin_ns = self.world.now_ns
         self._limit_ns = round(limit_s * SECOND_NS)
         writer = TlogWriter(log, 0) if log is not None else None
-        self.session = Session(self.runner, writer)
+        self.session = Session(self.runner, writer, self.gate)
         fly_virtual(
             self.session,
             self,
@@ -76,6 +80,7 @@ class Flight:
             versions={},
             seed=1,
             dry_run=True,
+            take_over=self.take_over,
             gains_npz=self.plan.gains_npz,
         )
         origins = self.runner.local_origins_enu_m

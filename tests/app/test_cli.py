@@ -16,8 +16,8 @@ from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, e
 
 FLY_KEYS = {
     "mission", "outcome", "reason", "vehicles", "converged", "time_to_form_s", "formation_error_m", "min_distance_m",
-    "safety_radius_m", "gridlocks", "role_swaps", "setpoints", "ticks", "deadline_misses", "duration_s", "wall_s",
-    "log", "seed",
+    "min_clearance", "safety_radius_m", "gridlocks", "role_swaps", "setpoints", "ticks", "deadline_misses",
+    "duration_s", "wall_s", "log", "seed",
 }  # fmt: skip
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from groundstation.core import avoidance, control, damper, frames, limits, metrics
+from groundstation.core import avoidance, control, damper, frames, gridlock, limits, metrics, places, regions
 from groundstation.core.assignment import assign_roles
 from groundstation.core.formation import Formation, Gains
-from groundstation.core.types import FloatArray, IntArray
-from groundstation.core.views import local_views
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.core.views import LocalViews, local_views
 
 GRAVITY_M_S2 = 9.81
 
@@ -72,6 +72,8 @@ class Profile:
     pos_noise_m: float = 0.01
     vel_noise_m_s: float = 0.02
     bias_m: float = 0.0  # slowly wandering position error, on top
+    bias_tau_s: float = 2.0  # how long that lasts
+    loss: float = 0.0  # share of reports, and of commands, that are lost
     tilt_lag_s: float = 0.0  # the acceleration itself follows with this lag (the attitude loop)
 
 
@@ -97,11 +99,26 @@ class Chain:
     scale: control.ScaleFunction = field(default_factory=control.ScaleFunction)
     rotate: bool = True
     damper: damper.DamperParams | None = None
+    swaps: bool = False
+    detours: bool = False
+    tolerance_m: float = 0.05
+    shape: str = "sphere"
+    half_height_m: float = 0.45
+    widen: bool = False
+
+    @property
+    def region(self) -> regions.SafetyRegion:
+        return regions.build_region(
+            self.shape, self.radius_m, max(self.activation_m, self.radius_m), self.half_height_m
+        )
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What came out. ``formed_s`` is when all distances got within 5 cm to stay so for a second; NaN if never."""
+    """What came out. ``formed_s`` is when all distances got within 5 cm to stay so for a second; NaN if never.
+
+    ``min_clearance`` is the smallest one in the norm of the safety region.
+    """
 
     formed_s: float
     min_distance_m: float
@@ -110,6 +127,10 @@ class Flight:
     roles: IntArray
     blocked_ticks: int
     infeasible_ticks: int
+    min_clearance: float
+    gridlocks: int = 0
+    swaps: tuple[tuple[float, int, int], ...] = ()
+    detours: int = 0
 
 
 def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.DamperParams:
@@ -121,11 +142,69 @@ def damper_for(profile: Profile, chain: Chain, margin_m: float) -> damper.Damper
         tick_s=chain.tick_s,
         speed_limit_m_s=chain.speed_m_s,
         accel_limit_m_s2=profile.accel_m_s2,
+        region=chain.region,
     )
 
 
 def with_damper(profile: Profile, chain: Chain, margin_m: float) -> Chain:
     return dataclasses.replace(chain, damper=damper_for(profile, chain, margin_m))
+
+
+class WayOut:
+    """Gridlocks resolved as `mission.formation_flight` does it."""
+
+    def __init__(self, chain: Chain, profile: Profile) -> None:
+        margin_m = 0.0 if chain.damper is None else chain.damper.margin_m
+        params = gridlock.GridlockParams(
+            chain.speed_m_s, chain.radius_m + margin_m, chain.tick_s, profile.tau_s + profile.delay_s
+        )
+        self.locks = gridlock.Gridlocks(chain.formation.size, params)
+        self.count, self.sent = 0, 0
+        self.swaps: list[tuple[float, int, int]] = []
+        self._chain = chain
+
+    def wish(self, views: LocalViews, quat: FloatArray, wish_flu_m_s: FloatArray) -> FloatArray:
+        rot = frames.rot_ned_from_flu(quat)
+        detour = self.locks.wishes(frames.enu_from_ned(frames.rotate(rot, views.vel_flu_m_s)))
+        turned = frames.rotate_back(rot, frames.ned_from_enu(detour))
+        return np.where(np.isfinite(turned), turned, wish_flu_m_s)
+
+    def roles(
+        self,
+        *,
+        now_s: float,
+        views: LocalViews,
+        quat: FloatArray,
+        wish_flu_m_s: FloatArray,
+        in_the_way: BoolArray,
+        roles: IntArray,
+    ) -> IntArray:
+        """The roles from now on."""
+        rot, n = frames.rot_ned_from_flu(quat), len(roles)
+        sensed = gridlock.Sensed(
+            rel_m=frames.enu_from_ned(frames.rotate(rot[:, None], views.rel_pos_flu_m)),
+            visible=views.visible,
+            vel_m_s=frames.enu_from_ned(frames.rotate(rot, views.vel_flu_m_s)),
+            wish_m_s=frames.enu_from_ned(frames.rotate(rot, wish_flu_m_s)),
+            in_the_way=in_the_way,
+            low_m=np.full((n, 3), -10.0),
+            high_m=np.full((n, 3), 10.0),
+        )
+        nobody = np.zeros(n, dtype=np.bool_)
+        self.locks.sense(sensed, nobody)
+        self.count += int(self.locks.begun.sum())
+        if not self.locks.locked.any():
+            return roles
+        own = places.own_places(sensed.rel_m, sensed.visible, self._chain.formation.points_enu_m[roles])
+        pairs = self.locks.swaps(sensed, own, ~nobody) if self._chain.swaps else []
+        roles = roles.copy()
+        for i, j in pairs:
+            roles[[i, j]] = roles[[j, i]]
+            self.swaps.append((now_s, i, j))
+        if self._chain.detours and not pairs:
+            sent = self.locks.begin_detours(sensed, own.to_own_m, nobody, self.locks.params.detour_s)
+            self.sent += len(sent)
+        return roles
 
 
 def fly(
@@ -150,7 +229,8 @@ def fly(
     if roles is None:
         roles = assign_roles(frames.enu_from_ned(start_ned_m), chain.formation).role_of_agent
     task = control.task_for_roles(chain.formation, chain.gains, roles)
-    sphere = avoidance.SafetySphere(chain.radius_m, max(chain.activation_m, chain.radius_m))
+    # As the guidance does: what positions may be off widens what is steered around, too.
+    region = chain.region.grown(chain.damper.margin_m) if chain.widen and chain.damper else chain.region
     sensed = np.ones((n, n), dtype=np.bool_)
     wanted = chain.formation.distances_m[np.ix_(roles, roles)]
     upper = np.triu_indices(n, 1)
@@ -164,13 +244,19 @@ def fly(
     pos, vel, accel = start_ned_m.copy(), np.zeros((n, 3)), np.zeros((n, 3))
     bias = rng.normal(0.0, profile.bias_m, (n, 3)) if profile.bias_m else np.zeros((n, 3))
     sent = np.zeros((n, 3))
+    seen_pos, seen_vel, last_out = pos.copy(), vel.copy(), np.zeros((n, 3))
+    clearance = np.inf
     smallest, formed_s, blocked, infeasible, error = np.inf, np.nan, 0, 0, np.inf
+    way_out = WayOut(chain, profile) if chain.swaps or chain.detours else None
     for tick in range(round(seconds / chain.tick_s)):
-        if profile.bias_m:  # wanders with a time constant of 2 s
-            keep = np.exp(-chain.tick_s / 2.0)
+        if profile.bias_m:  # wanders on
+            keep = np.exp(-chain.tick_s / profile.bias_tau_s)
             bias = keep * bias + rng.normal(0.0, profile.bias_m * np.sqrt(1 - keep**2), (n, 3))
-        seen_pos = pos + bias + (rng.normal(0.0, profile.pos_noise_m, (n, 3)) if profile.pos_noise_m else 0.0)
-        seen_vel = vel + (rng.normal(0.0, profile.vel_noise_m_s, (n, 3)) if profile.vel_noise_m_s else 0.0)
+        new_pos = pos + bias + (rng.normal(0.0, profile.pos_noise_m, (n, 3)) if profile.pos_noise_m else 0.0)
+        new_vel = vel + (rng.normal(0.0, profile.vel_noise_m_s, (n, 3)) if profile.vel_noise_m_s else 0.0)
+        lost = rng.random((n, 1)) < profile.loss if profile.loss and tick else np.zeros((n, 1), dtype=np.bool_)
+        seen_pos = np.where(lost, seen_pos + chain.tick_s * seen_vel, new_pos)  # carried on, as the ground station does
+        seen_vel = np.where(lost, seen_vel, new_vel)
         forward, right = np.cos(yaw), np.sin(yaw)
         ahead = accel[:, 0] * forward + accel[:, 1] * right
         aside = -accel[:, 0] * right + accel[:, 1] * forward
@@ -183,12 +269,30 @@ def fly(
             views, task, chain.scale, chain.control_gain, lead_s=chain.lead_s, upright_1_s=chain.upright_1_s
         )
         want = control.saturate(want, chain.speed_m_s)
+        if way_out is not None:
+            want = way_out.wish(views, quat, want)
+        wish, in_the_way = want, np.zeros((n, n), dtype=np.bool_)
         if chain.rotate:
-            avoided = avoidance.avoid(views, want, sphere)
+            avoided = avoidance.avoid(views, want, region)
             want, blocked = avoided.vel_flu_m_s, blocked + int(avoided.blocked.sum())
+            in_the_way = in_the_way | avoided.in_the_way
         if chain.damper is not None:
             damped = damper.damp(views, want, chain.damper)
             want, infeasible = damped.vel_flu_m_s, infeasible + int(damped.infeasible.sum())
+            in_the_way = in_the_way | damped.in_the_way
+        if way_out is not None:
+            given = way_out.roles(
+                now_s=tick * chain.tick_s,
+                views=views,
+                quat=quat,
+                wish_flu_m_s=wish,
+                in_the_way=in_the_way,
+                roles=roles,
+            )
+            if not np.array_equal(given, roles):
+                roles = given
+                task = control.task_for_roles(chain.formation, chain.gains, roles)
+                wanted = chain.formation.distances_m[np.ix_(roles, roles)]
         out = frames.rotate(frames.rot_ned_from_flu(quat), want)
         if output_turn_rad:
             out = turns.apply(out)
@@ -202,11 +306,12 @@ def fly(
             fence=None,
             fence_rate_1_s=1.0,
         )
+        last_out = np.where(rng.random((n, 1)) < profile.loss, last_out, sent) if profile.loss else sent
         for _ in range(steps):
-            queue.append(sent)
+            queue.append(last_out)
             command = queue.pop(0)
             if profile.tau_s == 0.0:
-                vel = sent
+                vel = last_out
             else:
                 wished = (command - vel) / profile.tau_s
                 size = np.linalg.norm(wished, axis=1, keepdims=True)
@@ -216,12 +321,27 @@ def fly(
             pos = pos + vel * dt
             distances = metrics.pair_distances_m(pos)[upper]
             smallest = min(smallest, float(distances.min()))
+            if chain.shape != "sphere":
+                offsets = pos[upper[1]] - pos[upper[0]]
+                clearance = min(clearance, float(chain.region.clearance(offsets).min()))
         error = float(np.abs(distances - wanted[upper]).max())
         now = (tick + 1) * chain.tick_s
-        if error > 0.05:
+        if error > chain.tolerance_m:
             formed_s = np.nan
         elif np.isnan(formed_s):
             formed_s = now
         elif stop_when_formed and now - formed_s >= 1.0:
             break
-    return Flight(formed_s, smallest, error, pos, roles, blocked, infeasible)
+    flight = Flight(
+        formed_s,
+        smallest,
+        error,
+        pos,
+        roles,
+        blocked,
+        infeasible,
+        clearance if chain.shape != "sphere" else smallest / chain.radius_m,
+    )
+    if way_out is None:
+        return flight
+    return dataclasses.replace(flight, gridlocks=way_out.count, swaps=tuple(way_out.swaps), detours=way_out.sent)

@@ -19,6 +19,10 @@ IRREGULAR = Formation(
 )
 
 
+GRID = np.array([[x, y, z] for x in range(3) for y in range(3) for z in range(3)], dtype=np.float64)
+MISSED = [25, 43, 48]
+
+
 @settings(max_examples=40)
 @given(st.floats(-np.pi, np.pi), st.tuples(*[st.floats(-50, 50)] * 3), st.permutations(range(6)))
 def test_a_turned_moved_and_shuffled_formation_is_recognised(
@@ -37,6 +41,46 @@ def test_no_permutation_with_its_best_heading_is_better(seed: int) -> None:
     pos = np.random.default_rng(seed).uniform(-1.5, 1.5, (6, 3))
     least = min(fixed_roles(pos, IRREGULAR, np.array(order)).cost_m2 for order in permutations(range(6)))
     assert assign_roles(pos, IRREGULAR).cost_m2 == pytest.approx(least, rel=1e-9)
+
+
+def _least_cost(pos: np.ndarray, points: np.ndarray) -> float:
+    """The least sum of squares over all permutations, each with its best heading and place."""
+    p, q = pos - pos.mean(axis=0), points - points.mean(axis=0)
+    orders = np.array(list(permutations(range(len(p)))))
+    level = np.abs((np.conj(p[:, 0] + 1j * p[:, 1]) * (q[:, 0] + 1j * q[:, 1])[orders]).sum(axis=1))
+    upright = (p[:, 2] * q[:, 2][orders]).sum(axis=1)
+    return float((p**2).sum() + (q**2).sum() - 2.0 * (level + upright).max())
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 7), st.booleans(), st.sampled_from(["any", "grid", "ring"]))
+def test_trying_everything_finds_nothing_better(seed: int, n: int, level: bool, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.5, 1.5, (n, 3))
+    if kind == "grid":
+        points = np.round(points)
+    elif kind == "ring":
+        turn = 2.0 * np.pi * np.arange(n) / n
+        points = np.stack([np.cos(turn), np.sin(turn), 0.5 * (np.arange(n) % 2)], axis=1)
+    pos = rng.uniform(-2.0, 2.0, (n, 3))
+    if level:
+        pos[:, 2] = 0.5
+    found = assign_roles(pos, Formation(kind, points, ()))
+    least = _least_cost(pos, points)
+    assert found.cost_m2 <= least + 1e-6 * (1.0 + least)
+
+
+@pytest.mark.parametrize("seed", MISSED)
+def test_what_evenly_spread_headings_miss_is_found(seed: int) -> None:
+    """Teams of 27 in which the best roles belong to a narrow range of headings between two of the 36 tried."""
+    rng = np.random.default_rng(seed)
+    points = GRID if seed % 2 == 0 else rng.uniform(-1.5, 1.5, (27, 3))
+    pos = rng.uniform(-2.0, 2.0, (27, 3))
+    if seed % 3 == 0:
+        pos[:, 2] = 0.5
+    formation = Formation("27", points, ())
+    more = assign_roles(pos, formation, yaw_starts=360).cost_m2
+    assert assign_roles(pos, formation).cost_m2 <= more * (1.0 + 1e-9)
 
 
 @given(st.integers(0, 2**32 - 1), st.permutations(range(6)))

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.core.avoidance import SafetySphere, avoid
+from groundstation.core.avoidance import avoid
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import FloatArray
 from groundstation.core.views import LocalViews
 from tests.core.lag_team import KINEMATIC, Chain, cube, cube_gains, fly, random_start
@@ -47,6 +48,16 @@ def test_agents_beyond_the_activation_distance_are_not_avoided() -> None:
     result = avoid(views_of([2.0, 3, 1], [2.0, 1, 2]), wanted, SafetySphere(1.0, 2.9))
     np.testing.assert_array_equal(result.vel_flu_m_s, wanted)
     assert not result.in_the_way.any()
+
+
+def test_an_obstacle_has_a_larger_sphere_and_is_avoided_from_farther() -> None:
+    plain, wanted = views_of([1.2, 0, 0], [0, 1.2, 0]), np.array([[0.3, 0, 0]])
+    obstacle = dataclasses.replace(plain, extra_m=np.array([[0.15, 0.0]]))
+    sphere = SafetySphere(0.45, 1.1)
+    assert not avoid(plain, wanted, sphere).in_the_way.any()  # beyond 1.1 m
+    result = avoid(obstacle, wanted, sphere)
+    assert result.in_the_way.tolist() == [[True, False]]
+    assert result.angle_rad[0] == pytest.approx(np.arcsin(0.6 / 1.2), abs=1e-8)
 
 
 def test_one_sphere_ahead_by_hand() -> None:

@@ -67,6 +67,58 @@ def test_unknown_velocity_counts_as_closing() -> None:
     assert approach_bounds(views, PARAMS)[1][0, 0] == pytest.approx(0.5 * PARAMS.rate_1_s * (1.3 - 1.1 * 0.5))
 
 
+def test_both_halves_are_done_around_an_obstacle() -> None:
+    """The whole of what the pair may close, from the larger radius; what the obstacle itself closes is taken off."""
+    extra = {"extra_m": np.array([[0.2]])}
+    at_rest = dataclasses.replace(view_of([[0.9, 0, 0]], [[0.0, 0, 0]]), **extra)
+    assert approach_bounds(at_rest, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * (0.9 - 0.5 - 0.2))
+    # Both approach: 0.1 m/s of the closing speed is its own, 0.2 m/s the obstacle's.
+    closing = dataclasses.replace(
+        view_of([[1.3, 0, 0]], [[-0.3, 0, 0]]), vel_flu_m_s=np.array([[0.1, 0.0, 0.0]]), **extra
+    )
+    left = 1.3 - 0.7 - 1.1 * 0.3
+    assert approach_bounds(closing, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * left - 0.2)
+    # It goes away: nobody runs after it.
+    parting = dataclasses.replace(view_of([[0.9, 0, 0]], [[0.4, 0, 0]]), **extra)
+    assert approach_bounds(parting, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * 0.2)
+    unknown = dataclasses.replace(view_of([[1.9, 0, 0]], [[np.nan] * 3]), **extra)
+    assert approach_bounds(unknown, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * (1.2 - 1.1 * 0.5))
+
+
+@pytest.mark.parametrize("profile", [CRAZYFLIE, PX4_QUAD])
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_an_obstacle_that_does_nothing_is_kept_away_from(profile: Profile, seed: int) -> None:
+    """It flies straight at, past or away from an agent that wants to be where it is."""
+    rng = np.random.default_rng(seed)
+    params = dataclasses.replace(damper_for(profile, Chain(cube(), cube_gains(), 1.0), 0.02), radius_m=0.45)
+    extra_m, dt = 0.25, 0.004
+    keep_m = params.radius_m + extra_m
+    rel = rng.normal(size=3)
+    rel *= rng.uniform(keep_m + 0.7, 2.5) / np.linalg.norm(rel)
+    obstacle_vel = rng.normal(size=3)
+    obstacle_vel *= rng.uniform(0.0, 0.3) / np.linalg.norm(obstacle_vel)
+    if rng.random() < 0.5:
+        obstacle_vel = -rel / np.linalg.norm(rel) * np.linalg.norm(obstacle_vel)
+    vel, nearest = np.zeros(3), np.inf
+    late = [np.zeros(3)] * (round(profile.delay_s / dt) + 1)
+    for step in range(2500):
+        if step % 5 == 0:
+            views = LocalViews(
+                rel[None, None],
+                (obstacle_vel - vel)[None, None],
+                np.ones((1, 1), np.bool_),
+                vel[None],
+                np.array([[extra_m]]),
+            )
+            command = damp(views, 0.5 * rel[None] / np.linalg.norm(rel), params).vel_flu_m_s[0]
+        late.append(command)
+        vel = vel + (late.pop(0) - vel) * dt / profile.tau_s
+        rel = rel + (obstacle_vel - vel) * dt
+        nearest = min(nearest, float(np.linalg.norm(rel)))
+    assert nearest >= keep_m
+
+
 def test_nobody_in_sight_and_coincident_agents_bound_nothing() -> None:
     views = view_of([[np.nan] * 3, [0.0, 0, 0]], [[np.nan] * 3, [0.0, 0, 0]])
     wanted = np.array([[0.4, 0.1, 0.0]])
@@ -123,17 +175,17 @@ def test_held_back_is_told() -> None:
 
 
 def test_the_margin_leaves_room_for_the_formation() -> None:
-    assert fitting_margin_m(0.05, 0.45, 1.0) == 0.05
-    assert fitting_margin_m(0.05, 0.8, 0.86) == pytest.approx(0.03)
-    with pytest.raises(ValueError, match="shortest distance"):
-        fitting_margin_m(0.05, 0.45, 0.3)
+    assert fitting_margin_m(0.05, 0.55) == 0.05
+    assert fitting_margin_m(0.05, 0.06) == pytest.approx(0.03)
+    with pytest.raises(ValueError, match="room"):
+        fitting_margin_m(0.05, -0.15)
 
 
 @pytest.mark.parametrize("name", ["radius_m", "tick_s", "speed_limit_m_s", "accel_limit_m_s2", "margin_m", "delay_s"])
 def test_impossible_parameters_are_refused(name: str) -> None:
     for value in (-0.1, np.nan):
         with pytest.raises(ValueError, match=name):
-            dataclasses.replace(PARAMS, **{name: value})
+            dataclasses.replace(PARAMS, **{name: value})  # type: ignore[arg-type]
 
 
 def test_what_is_not_finite_is_refused() -> None:

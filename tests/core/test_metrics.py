@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.core import metrics
+from groundstation.core.regions import SafetyCylinder, SafetySphere
 from tests.core.lag_team import cube
 
 
@@ -20,6 +21,16 @@ def test_formation_error_by_hand() -> None:
     pos[2, 0] = np.nan
     assert np.isnan(metrics.formation_error_m(pos, cube().distances_m, roles))
     assert metrics.formation_error_m(np.zeros((1, 3)), np.zeros((1, 1)), np.array([0])) == 0.0
+
+
+def test_clearance_is_in_the_norm_of_the_region() -> None:
+    pos = np.array([[0.0, 0, 0], [0, 0, 0.9], [2, 0, 0], [np.nan, 0, 0]])
+    counted = np.array([True, False, True, True])
+    assert metrics.min_clearance(pos, SafetySphere(0.5, 0.5)) == 1.8
+    assert metrics.min_clearance(pos, SafetyCylinder(0.5, 0.5, 1.0)) == 0.9
+    assert metrics.min_clearance(pos, SafetyCylinder(0.5, 0.5, 1.0), counted) == 4.0
+    assert metrics.min_clearance(pos[:1], SafetyCylinder(0.5, 0.5, 1.0)) == np.inf
+    assert metrics.min_clearance(pos[:1], SafetySphere(0.5, 0.5)) == np.inf
 
 
 def test_min_distance_counts_who_counts() -> None:

@@ -80,3 +80,14 @@ def test_arrays_that_do_not_belong_together_are_refused() -> None:
         local_views(np.zeros((2, 3)), np.zeros((2, 3)), np.ones((2, 4)), seen)
     with pytest.raises(ValueError, match="poses"):
         local_views(np.zeros((2, 3)), np.zeros((3, 3)), np.ones((2, 4)), np.ones((2, 2), dtype=np.bool_))
+
+
+def test_extra_radii_are_zeros_until_given_and_have_to_make_sense() -> None:
+    seen = np.zeros((2, 3), dtype=np.bool_)
+    bare = LocalViews(np.zeros((2, 3, 3)), np.zeros((2, 3, 3)), seen, np.zeros((2, 3)))
+    np.testing.assert_array_equal(bare.extra_m, np.zeros((2, 3)))
+    given = dataclasses.replace(bare, extra_m=np.array([[0.1, 0, 0], [0, 0.2, 0]]))
+    assert given.agent(1).extra_m.tolist() == [[0, 0.2, 0]]
+    for wrong in (np.zeros((3, 2)), np.full((2, 3), -0.1), np.full((2, 3), np.nan), np.full((2, 3), np.inf)):
+        with pytest.raises(ValueError, match="extra radii"):
+            dataclasses.replace(bare, extra_m=wrong)

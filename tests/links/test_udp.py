@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import selectors
 import socket
+from contextlib import ExitStack
 
 import pytest
 
 from groundstation.core.errors import UserError
+from groundstation.links import udp
 from groundstation.links.udp import open_udp
+from tests.links.waits import LIMIT_S, arrived_on
 
 
 def _port_of(link_socket: socket.socket) -> int:
@@ -60,3 +63,25 @@ def test_a_port_in_use_is_told() -> None:
         url = f"udpin://127.0.0.1:{_port_of(link.socket)}"
         with pytest.raises(UserError, match=r"cannot listen.*another ground station"):
             open_udp(url)
+
+
+def test_a_flood_of_addresses_does_not_make_a_vehicle_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who was spoken to stays known; of the others the oldest goes."""
+    monkeypatch.setattr(udp, "_PEERS_MAX", 4)
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        port = link.socket.getsockname()[1]
+        sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(8)]
+        for item in sockets:
+            item.bind(("127.0.0.1", 0))
+        vehicle = sockets[0]
+        vehicle.sendto(b"hello", ("127.0.0.1", port))
+        ((peer, _),) = arrived_on(link)
+        link.send(peer, b"first")
+        for item in sockets[1:]:
+            item.sendto(b"x", ("127.0.0.1", port))
+            arrived_on(link)
+        link.send(peer, b"second")
+        assert link.errors == 0
+        assert len(link._addresses) == 4
+        vehicle.settimeout(LIMIT_S)
+        assert [vehicle.recv(100), vehicle.recv(100)] == [b"first", b"second"]

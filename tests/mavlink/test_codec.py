@@ -14,6 +14,7 @@ from groundstation.mavlink.codec import (
     Encoder,
     Frame,
     FrameSplitter,
+    Splitters,
     blank,
     decode,
     encode_batch,
@@ -203,3 +204,34 @@ def test_values_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="limit 50"):
         encoder.encode("STATUSTEXT", text="x" * 51)
     assert encoder.seq == 0
+
+
+@pytest.mark.parametrize("datagrams", [True, False])
+@pytest.mark.parametrize("rest", [b"", b"\xfd", b"\x00\xfe\x07"])
+def test_noise_that_looks_like_an_unknown_message_takes_no_good_frame_with_it(rest: bytes, *, datagrams: bool) -> None:
+    """Random bytes behind a magic byte are nearly always an id that nobody knows, without a checksum to test."""
+    good = Encoder(1).encode("HEARTBEAT", type=2)
+    noise = bytes((0xFD, len(good) + len(rest) - 2, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0xFF)) + rest
+    splitter = FrameSplitter(datagrams=datagrams)
+    pieces = splitter.feed(noise + good) + splitter.feed(good + bytes(300))
+    assert [piece.raw for piece in pieces if isinstance(piece, Frame)] == [good, good]
+
+
+def test_a_real_unknown_message_is_taken_whole() -> None:
+    unknown = b"\xfd\x05\x00\x00\x00\x01\x01\xff\xff\xff\xfehello"[:15] + b"\x12\x34"
+    good = Encoder(1).encode("HEARTBEAT", type=2)
+    first, second = FrameSplitter().feed(unknown + good)
+    assert isinstance(first, Frame)
+    assert isinstance(second, Frame)
+    assert (first.raw, second.raw) == (unknown, good)
+
+
+def test_streams_are_kept_apart_and_bounded() -> None:
+    splitters, good = Splitters(most=3), Encoder(1).encode("HEARTBEAT", type=2)
+    assert splitters.feed("a", good[:9], stream=True) == []
+    for number in range(100):
+        splitters.feed(number, good[:5], stream=True)
+        splitters.feed("a", b"", stream=True)  # the one that is heard is kept
+    assert len(splitters._streams) == 3
+    (frame,) = splitters.feed("a", good[9:], stream=True)
+    assert isinstance(frame, Frame)

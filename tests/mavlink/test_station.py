@@ -80,11 +80,17 @@ def test_a_setpoint_that_is_not_a_number_is_never_encoded() -> None:
         station.transmit(0, velocity, np.zeros(2), np.array([True, True]))
 
 
-def test_a_flood_of_addresses_is_counted_and_takes_no_memory() -> None:
-    station = _station()
+@pytest.mark.parametrize("streams", [(), (0,)])
+def test_a_flood_of_addresses_takes_no_memory_and_does_not_keep_a_vehicle_from_being_heard(
+    streams: tuple[int, ...],
+) -> None:
+    station = Station(Fleet([1], [0]), 0, streams=streams)
     for number in range(1500):
-        station.receive(0, f"stranger{number}", b"x", 0)
-    assert station.fleet.counts["datagram from one address too many"] == 502
+        station.receive(0, f"stranger{number}", b"\xfd", 0)
+    assert len(station._splitters._streams) <= 256
+    station.receive(0, "p1", Encoder(1).encode("HEARTBEAT", type=2, autopilot=12), 0)
+    station.ingest()
+    assert station.fleet.peer == ["p1"]
 
 
 def test_who_waits_to_be_spoken_to_is_greeted_until_somebody_is_heard_there() -> None:

@@ -113,3 +113,9 @@ def test_battery_is_unknown_rather_than_below_zero() -> None:
     assert np.isnan(fleet.battery_remaining[0])
     fleet.ingest([_received(Encoder(3).encode("SYS_STATUS", battery_remaining=55))])
     assert fleet.battery_remaining[0] == 0.55
+
+
+def test_a_vehicles_words_cannot_move_the_terminals_cursor_or_feign_a_line() -> None:
+    fleet = _fleet()
+    fleet.ingest([_received(Encoder(3).encode("STATUSTEXT", severity=2, text="a\x1b[2Jb\nvehicle 7: fine\u202e!\n"))])
+    assert [text.text for text in fleet.take_texts()] == ["a [2Jb vehicle 7: fine !"]

@@ -55,7 +55,7 @@ def test_what_is_fitted_fits_and_is_no_more_than_was_wanted(
     assert max(rates.down_bytes_s, rates.up_bytes_s) <= 0.8 * limit * (1 + 1e-9)
     assert 8.0 <= rates.pose_hz <= pose_hz
     assert 5.0 <= rates.setpoint_hz <= setpoint_hz
-    assert rates.narrow == (rates.pose_hz < pose_hz or rates.setpoint_hz < setpoint_hz)
+    assert rates.narrow == (rates.lean or rates.pose_hz < pose_hz or rates.setpoint_hz < setpoint_hz)
 
 
 def test_a_narrow_link_makes_the_law_slower_and_a_radio_may_be_narrower_than_its_port() -> None:

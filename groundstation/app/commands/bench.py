@@ -15,20 +15,30 @@ from rich.table import Table
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 
-BENCHES = {"flight": "groundstation.app.bench_flight", "gains": "groundstation.app.bench_gains"}
-"""Name: module with ``run(out: Output) -> dict``."""
+BENCHES = {
+    "avoidance": "groundstation.app.bench_avoidance",
+    "flight": "groundstation.app.bench_flight",
+    "gains": "groundstation.app.bench_gains",
+    "sigkill": "groundstation.app.bench_sigkill",
+}
+"""Name: module with ``run(out: Output) -> dict``; that of sigkill takes ``runs`` and ``seed`` too."""
+_OPTIONS = ("sigkill",)
 
 
 def bench(
     name: Annotated[str, typer.Argument(help=f"What to measure: {', '.join(BENCHES)}.")],
     *,
+    runs: Annotated[int, typer.Option(help="Flights that are killed (sigkill).", min=1, max=10_000)] = 50,
+    seed: Annotated[int, typer.Option(help="Of the first flight (sigkill).", min=0)] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
 ) -> None:
-    """Measures speed, as ratios in one run."""
+    """Measures speed as ratios in one run, or what a killed ground station leaves behind."""
     out = Output(as_json=as_json)
     if name not in BENCHES:
         raise UserError(f"bench {name}: not known; use one of {', '.join(BENCHES)}")
-    values: dict[str, Any] = import_module(BENCHES[name]).run(out)
+    values: dict[str, Any] = import_module(BENCHES[name]).run(
+        out, **({"runs": runs, "seed": seed} if name in _OPTIONS else {})
+    )
     table = Table("figure", "value", title=f"bench {name}")
     for key, value in values.items():
         if isinstance(value, int | float | str):

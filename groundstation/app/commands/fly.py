@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,16 +13,21 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
+from groundstation.app.check_screen import check_table, rows_as_values
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
-from groundstation.app.loop import FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.keys import Keyboard
+from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.order_socket import OrderSocket, runtime_folder
 from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
+from groundstation.app.signing import FlightGate, open_gate
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 from groundstation.links.opening import open_link
-from groundstation.mission.plan import MissionPlan, load_mission
+from groundstation.mission.plan import MissionPlan, load_mission, read_spec
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
     DRY_RUN_EPOCH_UNIX_US,
@@ -43,6 +49,9 @@ MissionOption = Annotated[
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
 ]
+FixOption = Annotated[
+    bool, typer.Option("--fix", help="Set message rates, and parameters that are not as the mission needs them.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
 
 
@@ -56,45 +65,61 @@ def fly(
     faults: Annotated[
         Path | None, typer.Option(help="Timetable of faults (YAML) for a dry run; time 0 is the vehicles' power-up.")
     ] = None,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Bring home vehicles that a ground station left in the air.")
+    ] = False,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
+    fix: FixOption = False,
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Flies a mission: take off, form, hold, return to the pads, land.
 
+    With --take-over: finds those of its vehicles that are in the air, holds them, brings them home and lands them.
+
+    Keys at a terminal: h hold, r resume, b back to the pads, l land, k kill; from another one: gs command.
     Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
     """
     out = Output(as_json=as_json)
     if (realtime or udp) and not dry_run:
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
+    if take_over and dry_run:
+        raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
-    plan = load_mission(find_config(mission, "missions"), changes or ())
+    plan = load_mission(find_config(mission, "missions"), _with_fix(changes, fix=fix))
     timetable = read_faults(faults, plan)
     log_path = _log_path(plan, log, dry_run=dry_run, seed=seed)
     started = time.monotonic()
     if dry_run and not udp:
         values = _dry_run(out, plan, log_path, timetable, seed=seed, realtime=realtime)
     else:
-        values = _real_flight(out, plan, log_path, timetable, emulated_seed=seed if dry_run else None)
+        values = _real_flight(
+            out, plan, log_path, timetable, emulated_seed=seed if dry_run else None, take_over=take_over
+        )
     refused = values.pop("refused")
     values["wall_s"] = round(time.monotonic() - started, 3)
     _tell(out, values)
     out.result(values)
     if refused:
-        raise PreflightRefused(_refusal(str(values["reason"])))
+        raise PreflightRefused(_refusal(str(values["reason"]), "nothing was taken over" if take_over else None))
     if values["outcome"] != "completed":
         raise MissionFailed(f"mission {plan.spec.name} aborted: {values['reason']}")
 
 
-def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOption = False) -> None:
+def check(
+    mission: MissionOption, *, fix: FixOption = False, changes: SetOption = None, as_json: JsonOption = False
+) -> None:
     """Checks a mission and its vehicles on their pads; arms nothing."""
     out = Output(as_json=as_json)
-    plan = load_mission(find_config(mission, "missions"), changes or ())
+    plan = _judged(out, find_config(mission, "missions"), _with_fix(changes, fix=fix))
     clock = FlightClock()
-    session = Session(Runner(plan, 0, check_only=True), None)
+    gate = open_gate(plan, clock.epoch_unix_us, keep_times=True)
+    session = Session(Runner(plan, 0, check_only=True, whole_frames=gate is not None), None, gate)
     interrupts = Interrupts()
     with ExitStack() as stack:
+        if gate is not None:
+            stack.callback(gate.close)
         links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
         display = stack.enter_context(FlightDisplay(out.console, plan, links))
         stack.enter_context(interrupts.listening())
@@ -102,20 +127,59 @@ def check(mission: MissionOption, *, changes: SetOption = None, as_json: JsonOpt
         troubles = link_troubles(links)
     runner = session.runner
     for number, rates in enumerate(plan.rates):
-        out.console.print(rates.words(plan.links[number], plan.link_of_vehicle.count(number)))
-    table = Table("vehicle", "state")
-    problems = {text.partition(":")[0]: text.partition(": ")[2] for text in runner.problems}
-    for vehicle in plan.spec.vehicles:
-        table.add_row(str(vehicle.id), problems.get(f"vehicle {vehicle.id}", "ready"))
-    out.console.print(table)
-    out.result({"mission": plan.spec.name, "ready": runner.outcome == "completed", "problems": runner.problems})
+        signed = "signed" if number in plan.signed_links else "not signed"
+        out.console.print(f"{rates.words(plan.links[number], plan.link_of_vehicle.count(number))}, {signed}")
+    rows = runner.check_rows()
+    out.console.print(check_table(rows))
+    refused = _refused(plan, gate)
+    if runner.outcome == "completed":  # else they are among the reasons
+        for line in refused:
+            out.console.print(Text(line, style="bold red"))
+    out.result(
+        {
+            "mission": plan.spec.name,
+            "ready": runner.outcome == "completed",
+            "problems": runner.problems,
+            "signing": refused,
+            "failsafe": runner.failsafe.words,
+            "vehicles": rows_as_values(rows),
+        }
+    )
     if runner.outcome != "completed":
-        raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles])))
+        raise PreflightRefused(_refusal("; ".join([runner.reason or "interrupted", *troubles, *refused])))
 
 
-def _refusal(reason: str) -> str:
-    lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ")
-    return "preflight refused, nothing was armed:\n  " + lines
+def _with_fix(changes: list[str] | None, *, fix: bool) -> list[str]:
+    """The changes of the command line; ``--fix`` is one of the mission, so that a replay knows of it."""
+    return [*(changes or ()), *(["failsafe.set_parameters=true"] if fix else [])]
+
+
+def _judged(out: Output, path: Path, changes: Sequence[str]) -> MissionPlan:
+    """Loads a mission to be checked: one that does not fit itself is refused, not a mistake of usage.
+
+    Raises:
+        UserError: the file cannot be read.
+        PreflightRefused: gains, formation, pads, fence and r do not fit each other.
+    """
+    spec = read_spec(path, changes)
+    try:
+        return load_mission(path, changes)
+    except UserError as error:
+        out.result({"mission": spec.name, "ready": False, "problems": [str(error)], "failsafe": "", "vehicles": []})
+        raise PreflightRefused(_refusal(str(error))) from None
+
+
+def _refusal(reason: str, what: str | None = None) -> str:
+    lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ").replace("; system", "\n  system")
+    return f"{what or 'preflight refused, nothing was armed'}:\n  {lines}"
+
+
+def _refused(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
+    """What signing left out, a line for each sender and reason, and whether its times could be kept."""
+    if gate is None:
+        return []
+    link_of = {vehicle.id: link for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)}
+    return [*gate.words(plan.links, link_of), *([gate.problem] if gate.problem else [])]
 
 
 def _period_ns(plan: MissionPlan) -> int:
@@ -141,10 +205,15 @@ def _dry_run(
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
+    gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
     with _recording(log_path, manifest, plan) as log:
-        session = Session(Runner(plan, 0), log)
+        session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan) as display, interrupts.listening():
+        with ExitStack() as stack:
+            stack.enter_context(interrupts.listening())
+            # A dry run in virtual time is over before anybody could say anything.
+            controls, prompt = _controls(stack, session, log_path) if realtime else ((), None)
+            display = stack.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
                 world,
@@ -152,14 +221,49 @@ def _dry_run(
                 watchers=(display, meter),
                 interrupts=interrupts,
                 pace=wall_clock_pace() if realtime else None,
+                controls=controls,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | _for_the_record(session.runner)))
+    _tell_refused(out, values, plan, gate)
+    _finish(out, log_path, manifest.finished(values | _for_the_record(session.runner, gate)))
     return values
 
 
+def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Sequence[Control], Callable[[], str] | None]:
+    """What the operator can speak by besides Ctrl-C, and the line that tells of the keys."""
+    controls: list[Control] = []
+    plan, prompt = session.runner.plan, None
+    ids = [vehicle.id for vehicle in plan.spec.vehicles]
+    about = {"mission": plan.spec.name, "log": str(log_path.resolve()), "pid": os.getpid(), "vehicles": ids}
+    try:
+        folder = runtime_folder(os.environ, Path.home())
+        controls.append(stack.enter_context(OrderSocket(folder, about)))
+    except (UserError, RuntimeError) as error:  # a flight needs no second terminal
+        session.remark("alarm", str(error), 0)
+    descriptor = 0  # standard input, whatever stands in for it in this process
+    if Keyboard.usable(descriptor):
+        keyboard = stack.enter_context(Keyboard(descriptor, ids))
+        controls.append(keyboard)
+        prompt = keyboard.prompt
+    return controls, prompt
+
+
+def _finish(out: Output, log_path: Path, manifest: Manifest) -> None:
+    """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
+    try:
+        write_manifest(manifest_path(log_path), manifest)
+    except UserError as error:
+        out.console.print(Text(f"gs: {error}; it lacks how the flight ended", style="bold red"))
+
+
 def _real_flight(
-    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, emulated_seed: int | None
+    out: Output,
+    plan: MissionPlan,
+    log_path: Path,
+    faults: Sequence[Fault],
+    *,
+    emulated_seed: int | None,
+    take_over: bool,
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
     with ExitStack() as stack:
@@ -168,31 +272,54 @@ def _real_flight(
         if emulated_seed is not None:
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
         clock = FlightClock()
-        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False)
-        log = stack.enter_context(_recording(log_path, manifest, plan))
-        session = Session(Runner(plan, 0), log)
+        gate = open_gate(plan, clock.epoch_unix_us, keep_times=emulated_seed is None)
+        if gate is not None:
+            stack.callback(gate.close)
+        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False, take_over=take_over)
+        log = None
+        try:
+            log = stack.enter_context(_recording(log_path, manifest, plan))
+        except UserError as error:
+            if not take_over:  # vehicles in the air wait for no disk
+                raise
+            out.console.print(Text(f"gs: {error}; flying without a log", style="bold red"))
+        session = Session(Runner(plan, 0, whole_frames=gate is not None, take_over=take_over), log, gate)
         interrupts = Interrupts()
-        with FlightDisplay(out.console, plan, links) as display, interrupts.listening():
-            watchers = (display,) if meter is None else (display, meter)
-            fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=watchers, interrupts=interrupts)
+        with ExitStack() as at_the_desk:
+            at_the_desk.enter_context(interrupts.listening())
+            controls, prompt = _controls(at_the_desk, session, log_path)
+            display = at_the_desk.enter_context(FlightDisplay(out.console, plan, links, prompt))
+            fly_real(
+                session,
+                links,
+                clock,
+                period_ns=_period_ns(plan),
+                watchers=(display,) if meter is None else (display, meter),
+                interrupts=interrupts,
+                controls=controls,
+            )
         values = _values(session.runner, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
-        record = _for_the_record(session.runner)
+        _tell_refused(out, values, plan, gate)
+        record = _for_the_record(session.runner, gate)
         for url, link in zip(plan.links, links, strict=True):
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
-    write_manifest(manifest_path(log_path), manifest.finished(values | record))
+    _finish(out, log_path, manifest.finished(values | record))
     return values
 
 
-def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool) -> Manifest:
+def _manifest(
+    plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool, take_over: bool = False
+) -> Manifest:
     return Manifest(
         mission=plan.record(),
         epoch_unix_us=epoch_unix_us,
         versions=versions(),
         seed=seed,
         dry_run=dry_run,
+        take_over=take_over,
         gains_npz=plan.gains_npz,
     )
 
@@ -201,7 +328,8 @@ def _manifest(plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_ru
 def _recording(log_path: Path, manifest: Manifest, plan: MissionPlan) -> Iterator[TlogWriter]:
     """Opens the log with its manifest, so that a flight that ends badly leaves both."""
     write_manifest(manifest_path(log_path), manifest)
-    with TlogWriter(log_path, manifest.epoch_unix_us, stream_links=plan.stream_links) as log:
+    streams = () if plan.spec.signing is not None else plan.stream_links  # the gate hands on whole frames
+    with TlogWriter(log_path, manifest.epoch_unix_us, stream_links=streams) as log:
         yield log
 
 
@@ -218,6 +346,7 @@ def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
         "time_to_form_s": figures.time_to_form_s,
         "formation_error_m": figures.formation_error_m,
         "min_distance_m": figures.min_distance_m,
+        "min_clearance": figures.min_clearance,
         "safety_radius_m": spec.avoidance.radius_m,
         "gridlocks": figures.gridlocks,
         "role_swaps": figures.role_swaps,
@@ -231,9 +360,20 @@ def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
     }
 
 
-def _for_the_record(runner: Runner) -> dict[str, Any]:
+def _for_the_record(runner: Runner, gate: FlightGate | None) -> dict[str, Any]:
     """What the manifest keeps beside the figures: events that were only counted, and where local frames begin."""
-    return {"counts": dict(runner.fleet.counts), "local_origins_enu_m": runner.local_origins_enu_m}
+    refused = gate.totals() if gate is not None else {}
+    return {"counts": dict(runner.fleet.counts) | refused, "local_origins_enu_m": runner.local_origins_enu_m}
+
+
+def _tell_refused(out: Output, values: dict[str, Any], plan: MissionPlan, gate: FlightGate | None) -> None:
+    """Tells what signing left out; where the flight came to nothing that may be why."""
+    lines = _refused(plan, gate)
+    if values["refused"]:
+        values["reason"] = "; ".join([str(values["reason"]), *lines])
+        return
+    for line in lines:
+        out.console.print(Text(line, style="bold red"))
 
 
 def _tell(out: Output, values: Mapping[str, Any]) -> None:
@@ -242,6 +382,7 @@ def _tell(out: Output, values: Mapping[str, Any]) -> None:
         ("formed after", _figure(values["time_to_form_s"], "s")),
         ("largest distance error while holding", _figure(values["formation_error_m"], "m")),
         ("smallest distance in the air", _figure(values["min_distance_m"], "m")),
+        ("smallest clearance, 1 = at the safety region", _figure(values["min_clearance"], "")),
         ("safety radius r", _figure(values["safety_radius_m"], "m")),
         ("flight time", _figure(values["duration_s"], "s")),
         ("setpoints sent", str(values["setpoints"])),

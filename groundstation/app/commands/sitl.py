@@ -20,6 +20,7 @@ from rich.text import Text
 
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
+from groundstation.mavlink.keys import read_key
 from sitl.estimator import NOISES
 from sitl.faults import Fault, load_faults
 from sitl.fleet import fleet
@@ -61,11 +62,14 @@ def sitl(
     ] = None,
     mavlink: Annotated[int, typer.Option(help="MAVLink version: 1, 2, or 0 for 1 until spoken to in 2.")] = 2,
     real_boot: Annotated[bool, typer.Option("--real-boot", help="Start-up takes as long as a real one.")] = False,
+    signing: Annotated[
+        Path | None, typer.Option("--signing", help="Key file: the vehicles sign, and obey signed frames only.")
+    ] = None,
 ) -> None:
     """Emulates vehicles with their autopilots and sends them to a UDP port of this machine."""
     options = _Options(
         vehicles, autopilot, port, seed, faults, orders, port_per_vehicle, profile, noise, streams, gps, spacing_m,
-        wind, gusts, downwash, speed, tcp_port, mavlink, real_boot,
+        wind, gusts, downwash, speed, tcp_port, mavlink, real_boot, signing,
     )  # fmt: skip
     out = Output(as_json=False)
     stop = Event()
@@ -106,6 +110,7 @@ class _Options:
     tcp_port: int | None
     mavlink: int
     real_boot: bool
+    signing: Path | None
 
 
 def _server(options: _Options) -> Server:
@@ -134,6 +139,7 @@ def _server(options: _Options) -> Server:
         raise UserError(f"--port: {options.port} (up to {last}) is out of range, limits 1 and 65535")
     if options.tcp_port is not None and not 1 <= options.tcp_port <= tcp_last <= 65535:
         raise UserError(f"--tcp: {options.tcp_port} (up to {tcp_last}) is out of range, limits 1 and 65535")
+    key = None if options.signing is None else read_key(options.signing).setup_bytes()
     try:
         timetable: tuple[Fault, ...] = load_faults(options.faults) if options.faults else ()
         config = WorldConfig(
@@ -146,6 +152,7 @@ def _server(options: _Options) -> Server:
                 streams=options.streams,
                 mavlink_version=options.mavlink,
                 gps=options.gps,
+                signing_key=key,
             ),
             real_boot=options.real_boot,
             faults=timetable,

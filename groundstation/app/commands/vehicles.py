@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,6 +13,7 @@ from rich.text import Text
 from groundstation.app.discovery import Discovery
 from groundstation.app.loop import FlightClock, Interrupts, Waiting
 from groundstation.app.output import Output
+from groundstation.app.signing import gate_of
 from groundstation.core.errors import CheckFailed, MissionFailed
 from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import parse_address
@@ -25,6 +27,9 @@ def vehicles(
         list[str] | None, typer.Argument(help="Links to look at; udpin://0.0.0.0:14540 by default.")
     ] = None,
     *,
+    key: Annotated[
+        Path | None, typer.Option("--key", help="Key file of vehicles that sign; the others are not heard then.")
+    ] = None,
     seconds: Annotated[float, typer.Option(help="How long to look.", min=0.5, max=600)] = 4.0,
     as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
 ) -> None:
@@ -41,19 +46,31 @@ def vehicles(
         stack.enter_context(interrupts.listening())
         waiting = stack.enter_context(Waiting(links))
         clock = FlightClock()
+        gate = None
+        if key is not None:
+            streams = [number for number, address in enumerate(addresses) if address.is_stream]
+            count = len(addresses)
+            gate = gate_of([key] * count, range(count), clock.epoch_unix_us, streams=streams, keep_times=True)
         now_ns = next_tick_ns = 0
         while now_ns < seconds * 1e9 and not interrupts.count:
             for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
                 for peer, data in links[number].receive():
-                    discovery.receive(number, peer, data, clock.now_ns())
+                    for piece in (data,) if gate is None else gate.let_in(number, peer, data, clock.now_ns()):
+                        discovery.receive(number, peer, piece, clock.now_ns())
             now_ns = clock.now_ns()
             if now_ns >= next_tick_ns:
                 next_tick_ns = now_ns + _TICK_NS
                 for link in links:
                     link.service(now_ns)
-                for sent in discovery.outgoing(now_ns):
+                outgoing = discovery.outgoing(now_ns)
+                if gate is not None:
+                    outgoing = gate.sign(outgoing, now_ns) + gate.greetings(now_ns)
+                for sent in outgoing:
                     links[sent.link].send(sent.peer, b"".join(sent.frames))
         troubles = [f"link {link.url}: {link.state}" for link in links if link.state]
+        if gate is not None:
+            gate.close()
+            troubles += gate.words([address.url for address in addresses], {})
     found, doubles = discovery.vehicles(), discovery.doubles(now_ns)
     _show(out, discovery, [*troubles, *doubles], now_ns)
     out.result(

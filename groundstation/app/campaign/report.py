@@ -1,0 +1,237 @@
+"""Writes what a campaign came to: summary.json, a page with tables and pictures, the cells as Markdown.
+
+matplotlib is loaded when pictures are drawn and not before.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from groundstation.app.campaign.run import Row
+from groundstation.app.output import to_json
+from groundstation.core.errors import UserError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_INK, _BLUE, _ORANGE, _RED, _LINE = "#22272e", "#0072B2", "#E69F00", "#B2182B", "#d5d9de"
+_STYLE: dict[Any, Any] = {
+    "font.size": 12.0,
+    "axes.edgecolor": "#8a929b",
+    "axes.labelcolor": _INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e8eaed",
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+}
+_GROUPS_MAX = 24
+_COLUMNS = (
+    ("cell", "cell"),
+    ("runs", "runs"),
+    ("success_rate", "success"),
+    ("interval", "95 %"),
+    ("formed_rate", "formed"),
+    ("safe_rate", "safe"),
+    ("below_r", "below r"),
+    ("min_distance_m", "smallest distance"),
+    ("safety_radius_m", "r"),
+    ("median_time_to_form_s", "median time"),
+    ("p95_time_to_form_s", "95 % within"),
+    ("max_time_to_form_s", "slowest"),
+    ("gridlocks", "gridlocks"),
+    ("role_swaps", "swaps"),
+    ("errors", "errors"),
+)
+
+
+def write_summary(folder: Path, title: str, rows: Sequence[Row], values: Mapping[str, Any]) -> None:
+    """Writes all files of the summary; those of an earlier one are replaced.
+
+    Args:
+        folder: of the campaign.
+        title: heading.
+        rows: in order of run.
+        values: as ``summary.summarise`` gives them.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    try:
+        (folder / "summary.json").write_text(to_json(values) + "\n", encoding="utf-8")
+        (folder / "summary.md").write_text(to_markdown(values), encoding="utf-8")
+        pictures = draw(folder, rows, values) if rows else []
+        (folder / "index.html").write_text(_page(title, values, pictures), encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{error.filename or folder}: cannot write the summary: {error.strerror or error}") from None
+
+
+def lines(values: Mapping[str, Any]) -> list[list[str]]:
+    """The table of cells as text, heading first, all runs last."""
+    out = [[heading for _, heading in _COLUMNS]]
+    for cell in [*values["cells"], {**values, "cell": "all"}]:
+        out.append([_text(cell, key) for key, _ in _COLUMNS])
+    return out
+
+
+def to_markdown(values: Mapping[str, Any]) -> str:
+    """The table of cells, and the worst runs."""
+    table = lines(values)
+    text = [f"| {' | '.join(row)} |" for row in table]
+    text.insert(1, "|" + " --- |" * len(table[0]))
+    text += ["", *(f"- run {item['run']}: {item['why']} (`{item['replay']}`)" for item in values["worst"])]
+    return "\n".join(text) + "\n"
+
+
+def _text(cell: Mapping[str, Any], key: str) -> str:
+    if key == "interval":
+        return f"{cell['success_low']:.2%} to {cell['success_high']:.2%}"
+    value = cell[key]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "-"
+    if key.endswith("_rate"):
+        return f"{value:.2%}"
+    if key.endswith("_m"):
+        return f"{value:.3f} m"
+    return f"{value:.1f} s" if key.endswith("_s") else str(value)
+
+
+def _page(title: str, values: Mapping[str, Any], pictures: Sequence[tuple[str, str]]) -> str:
+    head, *body = lines(values)
+    table = "<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"
+    table += "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in body)
+    worst = "".join(
+        f"<tr><td>{item['run']}</td><td>{html.escape(item['why'])}</td><td><code>{html.escape(item['replay'])}</code></td></tr>"
+        for item in values["worst"]
+    )
+    images = "".join(
+        f'<h2>{html.escape(words)}</h2><img src="{file}" alt="{html.escape(words)}">' for file, words in pictures
+    )
+    return f"""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html.escape(title)}</title>
+<style>
+body {{ font: 15px/1.5 system-ui, sans-serif; color: {_INK}; max-width: 1300px; margin: 2rem auto; padding: 0 1rem; }}
+h1 {{ font-size: 1.7rem; }} h2 {{ font-size: 1.2rem; margin: 2rem 0 0.3rem; }} img {{ max-width: 100%; height: auto; }}
+.wide {{ overflow-x: auto; }} table {{ border-collapse: collapse; }}
+th, td {{ text-align: left; padding: 0.25rem 1rem 0.25rem 0; border-bottom: 1px solid {_LINE}; vertical-align: top; }}
+td {{ font-variant-numeric: tabular-nums; }} code {{ font-size: 0.85em; }}
+</style>
+<h1>{html.escape(title)}</h1>
+<p>Intervals are 95 % (Clopper and Pearson). Success: formed, completed, everybody down, true distance never below r.
+Safe: everybody down or in failsafe, and nobody who could keep clear came nearer than r.</p>
+<div class="wide"><table>{table}</table></div>
+{images}
+<h2>Worst runs</h2>
+<div class="wide"><table><tr><th>run</th><th>why</th><th>again</th></tr>{worst}</table></div>
+</html>
+"""
+
+
+def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Draws the pictures; returns file names and headings."""
+    import matplotlib as mpl  # noqa: PLC0415
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    count = max(len(values["cells"]), 1)
+    groups = [
+        ([row for row in rows if row["run"] % count == k], cell["cell"]) for k, cell in enumerate(values["cells"])
+    ]
+    groups = groups or [(list(rows), "all")]
+    out = []
+    for file, heading, drawing in (
+        ("success.png", "Success, formed and safe, with 95 % intervals", _draw_rates),
+        ("time_to_form.png", "Time to form", _draw_times),
+        ("smallest_distance.png", "Smallest true distance against r", _draw_distances),
+    ):
+        with mpl.rc_context(_STYLE):
+            tall = file == "success.png"
+            height = min(1.6 + 0.42 * (len(groups) + 1), 40.0) if tall else 5.2
+            figure = Figure(figsize=(11.0, max(height, 3.0)), dpi=100, layout="constrained")
+            FigureCanvasAgg(figure)
+            drawing(figure.add_subplot(), groups, values)
+            figure.savefig(folder / file)
+        out.append((file, heading))
+    return out
+
+
+def _draw_rates(axes: Axes, groups: Sequence[tuple[list[Row], str]], values: Mapping[str, Any]) -> None:
+    cells = [*values["cells"], {**values, "cell": "all"}]
+    places = np.arange(len(cells))[::-1]
+    for shift, name, colour in ((0.22, "success", _BLUE), (0.0, "formed", _ORANGE), (-0.22, "safe", "#009E73")):
+        rate = np.array([cell[f"{name}_rate"] for cell in cells])
+        low = np.array([cell[f"{name}_low"] for cell in cells])
+        high = np.array([cell[f"{name}_high"] for cell in cells])
+        axes.errorbar(rate, places + shift, xerr=[np.maximum(rate - low, 0), np.maximum(high - rate, 0)], fmt="o",
+                      ms=5, color=colour, capsize=2.5, lw=1.4, label=name)  # fmt: skip
+    axes.set_yticks(places, [cell["cell"] for cell in cells])
+    axes.set_xlabel("share of runs")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
+    axes.set_ylim(-0.6, len(cells) - 0.4)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
+    del groups
+
+
+def _draw_times(axes: Axes, groups: Sequence[tuple[list[Row], str]], values: Mapping[str, Any]) -> None:
+    for number, (rows, name) in enumerate(_few(groups)):
+        times = np.sort([row["time_to_form_s"] for row in rows if math.isfinite(row["time_to_form_s"])])
+        if len(times):
+            share = np.arange(1, len(times) + 1) / len(rows)
+            axes.step(np.concatenate([[0.0], times]), np.concatenate([[0.0], share]), where="post", lw=1.8,
+                      color=_colour(number, len(groups)), label=f"{name} ({len(times)} of {len(rows)})")  # fmt: skip
+    axes.set_xlabel("time to form in s")
+    axes.set_ylabel("share of runs that have formed")
+    axes.set_ylim(0, 1.02)
+    axes.set_xlim(left=0)
+    _beside(axes)
+    del values
+
+
+def _draw_distances(axes: Axes, groups: Sequence[tuple[list[Row], str]], values: Mapping[str, Any]) -> None:
+    lowest = 1.0
+    for number, (rows, name) in enumerate(_few(groups)):
+        ratio = [row["min_distance_m"] / row["safety_radius_m"] for row in rows if math.isfinite(row["min_distance_m"])]
+        if ratio:
+            ordered = np.sort(ratio)
+            lowest = min(lowest, float(ordered[0]))
+            axes.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), where="post", lw=1.8,
+                      color=_colour(number, len(groups)), label=f"{name} (least {ordered[0]:.3f})")  # fmt: skip
+    axes.axvline(1.0, color=_RED, lw=2, label="r")
+    axes.set_xlabel("smallest true distance of a run, over r")
+    axes.set_ylabel("share of runs")
+    axes.set_ylim(0, 1.02)
+    axes.set_xlim(left=max(lowest - 0.05, 0.0))
+    _beside(axes)
+    del values
+
+
+def _few(groups: Sequence[tuple[list[Row], str]]) -> Sequence[tuple[list[Row], str]]:
+    """All groups where they can be told apart, else all runs as one."""
+    if len(groups) <= _GROUPS_MAX:
+        return groups
+    return [([row for rows, _ in groups for row in rows], f"all {len(groups)} cells")]
+
+
+def _colour(number: int, count: int) -> Any:
+    import matplotlib as mpl  # noqa: PLC0415
+
+    few = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#222222", "#7B3294")
+    return few[number] if count <= len(few) else mpl.colormaps["viridis"](number / max(min(count, _GROUPS_MAX) - 1, 1))
+
+
+def _beside(axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=10)

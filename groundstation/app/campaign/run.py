@@ -1,0 +1,349 @@
+"""Flies one case on the emulator in virtual time and says in one row what came of it.
+
+Whatever goes wrong in a run becomes a row with the reason; nothing of it reaches the other runs. Reads no clock: the
+same case gives the same row anywhere.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import traceback
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation.app.campaign.cases import Case
+from groundstation.app.emulator import TruthMeter, world_config
+from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.session import Session
+from groundstation.app.verify import verify_log
+from groundstation.core.errors import UserError
+from groundstation.core.types import BoolArray
+from groundstation.mission.plan import MissionPlan
+from groundstation.mission.runner import Phase, Runner
+from groundstation.records.manifest import (
+    DRY_RUN_EPOCH_UNIX_US,
+    Manifest,
+    manifest_path,
+    versions,
+    write_manifest,
+)
+from groundstation.records.tlog import TlogWriter
+from sitl.faults import FaultError
+from sitl.world import World, WorldConfig
+
+Row = dict[str, Any]
+_SECOND_NS = 1_000_000_000
+_SETTLE_STEP_NS = _SECOND_NS // 2
+_GROUND = frozenset({Phase.CONNECT, Phase.ARM})
+_ON_PADS = frozenset({Phase.CONNECT, Phase.ARM, Phase.TAKEOFF, Phase.LAND, Phase.SILENT, Phase.DONE})
+_FAILSAFE_MODES = frozenset({"LAND", "RTL", "SMART_RTL"})
+_WORDS_MAX = 2_000
+DISOBEDIENT = frozenset(
+    {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift", "motor_failure", "reboot"}
+)
+"""Faults after which a vehicle cannot be steered to keep clear: it does not hear, does not know where it is, or falls."""
+
+
+class _TooLongError(Exception):
+    """The mission did not end in its time."""
+
+
+def fly_case(case: Case, log: Path | None = None) -> Row:
+    """Flies a case.
+
+    Args:
+        case: what to fly.
+        log: where to record, with its manifest; None for nowhere.
+
+    Returns:
+        One row: the columns of ``table.SCHEMA``.
+    """
+    row: Row = {
+        "run": case.run,
+        "seed": case.seed,
+        "cell": case.cell,
+        "drawn": case.drawn,
+        **_nothing_yet(),
+    }
+    try:
+        row |= _Flown(case).fly(log)
+    except UserError as error:
+        row["error"] = str(error)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        row["error"] = f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+    return row
+
+
+def lost_row(case: Case, why: str) -> Row:
+    """The row of a run whose worker did not come back."""
+    return {
+        "run": case.run,
+        "seed": case.seed,
+        "cell": case.cell,
+        "drawn": case.drawn,
+        **_nothing_yet(),
+        "error": why,
+    }
+
+
+def _nothing_yet() -> Row:
+    nan = math.nan
+    return {
+        "error": "",
+        "vehicles": 0,
+        "safety_radius_m": nan,
+        "outcome": "",
+        "reason": "",
+        "success": False,
+        "formed": False,
+        "safe": False,
+        "time_to_form_s": nan,
+        "formation_error_m": nan,
+        "min_distance_m": nan,
+        "nearest_pair": "",
+        "min_obedient_m": nan,
+        "start_distance_m": nan,
+        "gridlocks": 0,
+        "role_swaps": 0,
+        "setpoints": 0,
+        "ticks": 0,
+        "duration_s": nan,
+        "phases": "",
+        "end": "",
+        "ended_safely": False,
+        "alarms": "",
+        "told": False,
+        "faults": "",
+        "fault_phase": "",
+        "fault_vehicle": 0,
+        "fault_at_s": nan,
+        "log_mismatches": -1,
+        "log_complete": False,
+    }
+
+
+class _Flown:
+    """One run under way: watches, lets faults strike, measures the truth."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._plan = case.plan()
+        self._world = World(emulated(case, self._plan), case.seed)
+        self._alarms: list[str] = []
+        self._phases: list[str] = []
+        self._phase: Phase | None = None
+        faults = case.setting.faults
+        self._due_ns: int | None = None  # when the fault strikes, None until its phase has been entered
+        self._struck_ns: int | None = None
+        self._waiting = bool(faults.what)
+        self._unsteered: BoolArray = np.zeros(self._plan.size, dtype=np.bool_)
+        self._begun = sorted(
+            (round(fault.at_s * _SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
+        )
+        self._min_m = self._min_obedient_m = math.inf
+        self._pair_m = np.full((self._plan.size, self._plan.size), math.inf)
+
+    def fly(self, log: Path | None) -> Row:
+        """Flies to the end, lets the world come to rest, and reads off what came of it."""
+        case, plan, setting = self._case, self._plan, self._case.setting
+        meter = TruthMeter(self._world)
+        manifest = Manifest(
+            mission=plan.record(),
+            epoch_unix_us=DRY_RUN_EPOCH_UNIX_US,
+            versions=versions() if log is not None else {},
+            seed=case.seed,
+            dry_run=True,
+            gains_npz=plan.gains_npz,
+        )
+        values: Row = {"safety_radius_m": plan.spec.avoidance.radius_m, "vehicles": plan.size}
+        late = False
+        with ExitStack() as stack:
+            if setting.verify and log is None:
+                log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.tlog"
+            writer = None
+            if log is not None:
+                write_manifest(manifest_path(log), manifest)
+                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links))
+            runner = Runner(plan, 0)
+            try:
+                fly_virtual(
+                    Session(runner, writer),
+                    self._world,
+                    period_ns=round(_SECOND_NS / plan.spec.rate_hz),
+                    watchers=(self._watch, meter),
+                    interrupts=Interrupts(),
+                )
+            except _TooLongError:
+                late = True
+            values |= self._figures(runner, meter, late=late)
+            if writer is not None and log is not None:
+                writer.close()
+                write_manifest(manifest_path(log), manifest.finished(values))
+            if setting.verify and log is not None:
+                verified = verify_log(log)
+                values |= {"log_mismatches": verified.mismatches, "log_complete": verified.complete}
+        return values
+
+    def _watch(self, session: Session, now_ns: int) -> None:
+        runner = session.runner
+        for note in session.take_notes():
+            if note.kind == "alarm":
+                self._alarms.append(f"{now_ns / _SECOND_NS:.2f} s: {note.text}")
+        if runner.phase is not self._phase:
+            self._phase = runner.phase
+            self._phases.append(runner.phase.value)
+            self._world.dynamics.posts_up = runner.phase in _ON_PADS  # nobody shall land on one while it flies
+        if self._waiting:
+            self._strike(runner.phase, now_ns)
+        while self._begun and self._begun[0][0] <= now_ns:
+            _, sysids, kind = self._begun.pop(0)
+            if kind in DISOBEDIENT:
+                self._give_up_on([i for i, v in enumerate(self._plan.spec.vehicles) if not sysids or v.id in sysids])
+        if now_ns >= self._case.setting.limit_s * _SECOND_NS:
+            raise _TooLongError
+
+    def _strike(self, phase: Phase, now_ns: int) -> None:
+        """Lets the fault strike once its phase has been entered and its delay is over."""
+        faults = self._case.setting.faults
+        if self._due_ns is None:
+            if phase in _GROUND if faults.phase == "ground" else phase.value == faults.phase:
+                self._due_ns = now_ns + round(self._case.delay_s * _SECOND_NS)
+            else:
+                return
+        if now_ns < self._due_ns:
+            return
+        self._waiting = False
+        self._struck_ns = now_ns
+        victims = list(range(self._plan.size)) if faults.who == "all" else [self._case.victim]
+        sysids = tuple(self._plan.spec.vehicles[i].id for i in victims)
+        kinds = faults.faults()
+        if any(fault.kind in DISOBEDIENT for fault in kinds):
+            self._give_up_on(victims)
+        self._world.inject(*(replace(fault, vehicles=sysids) for fault in kinds))
+
+    def _give_up_on(self, vehicles: list[int]) -> None:
+        """From now on these are not counted among those that have to keep their distance."""
+        self._take_distances()
+        self._unsteered[vehicles] = True
+
+    def _take_distances(self) -> None:
+        pairs = self._world.min_distance_airborne_of_pairs_m()
+        self._world.reset_min_distance()
+        np.minimum(self._pair_m, pairs, out=self._pair_m)
+        obedient = ~self._unsteered
+        self._min_m = min(self._min_m, float(pairs.min()))
+        self._min_obedient_m = min(self._min_obedient_m, float(pairs[np.ix_(obedient, obedient)].min(initial=math.inf)))
+
+    def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:
+        plan, figures, setting = self._plan, runner.figures, self._case.setting
+        radius_m = plan.spec.avoidance.radius_m
+        self._settle(round(setting.settle_s * _SECOND_NS))
+        self._take_distances()
+        states = [self._state(i) for i in range(plan.size)]
+        ended_safely = not late and all(state in ("down", "crashed", "failsafe") for state in states)
+        reason = f"not over after {setting.limit_s:g} s, in phase {runner.phase.value}" if late else runner.reason
+        outcome = "late" if late else str(runner.outcome)
+        clear = self._min_obedient_m >= radius_m
+        formed = bool(figures.converged)
+        first, second = np.unravel_index(int(np.argmin(self._pair_m)), self._pair_m.shape)
+        ids = [plan.spec.vehicles[int(i)].id for i in (first, second)]
+        pads = np.linalg.norm(plan.pads_enu_m[:, None] - plan.pads_enu_m[None], axis=-1)
+        struck = self._struck_ns is not None
+        faults = setting.faults
+        return {
+            "outcome": outcome,
+            "reason": reason[:_WORDS_MAX],
+            "success": formed and outcome == "completed" and self._min_m >= radius_m and ended_safely,
+            "formed": formed,
+            "safe": ended_safely and clear,
+            "time_to_form_s": float(figures.time_to_form_s),
+            "formation_error_m": float(meter.formation_error_m),
+            "min_distance_m": _finite(self._min_m),
+            "nearest_pair": f"{ids[0]}-{ids[1]}" if math.isfinite(self._min_m) else "",
+            "min_obedient_m": _finite(self._min_obedient_m),
+            "start_distance_m": float(pads[np.triu_indices(plan.size, 1)].min()),
+            "gridlocks": int(figures.gridlocks),
+            "role_swaps": int(figures.role_swaps),
+            "setpoints": int(runner.setpoints_sent),
+            "ticks": int(figures.ticks),
+            "duration_s": float(figures.flight_time_s),
+            "phases": " ".join(self._phases),
+            "end": _counted(states),
+            "ended_safely": ended_safely,
+            "alarms": "\n".join(self._alarms)[:_WORDS_MAX],
+            "told": bool(self._alarms or reason),
+            "faults": " ".join(fault.kind for fault in (*faults.scheduled(), *faults.faults())),
+            "fault_phase": faults.phase or "",
+            "fault_vehicle": plan.spec.vehicles[self._case.victim].id if struck and faults.who == "one" else 0,
+            "fault_at_s": math.nan if self._struck_ns is None else self._struck_ns / _SECOND_NS,
+        }
+
+    def _settle(self, most_ns: int) -> None:
+        """Lets time pass with nobody at the ground station, until everybody is down or time is over."""
+        world, end_ns = self._world, self._world.now_ns + most_ns
+        while world.now_ns < end_ns and any(self._state(i) not in ("down", "crashed") for i in range(world.n)):
+            world.advance(world.now_ns + _SETTLE_STEP_NS)
+
+    def _state(self, i: int) -> str:
+        """How a vehicle ended, by the truth: down, crashed, failsafe, armed on the ground, or in the air."""
+        world, pilot = self._world, self._world.autopilots[i]
+        if world.dynamics.crashed[i]:
+            return "crashed"
+        on_ground = bool(world.dynamics.on_ground[i])
+        if on_ground and not pilot.armed:
+            return "down"
+        if getattr(pilot, "failsafe", None) is not None or pilot.mode_name() in _FAILSAFE_MODES:
+            return "failsafe"
+        return "armed on the ground" if on_ground else "in the air"
+
+
+def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
+    """The world of a case.
+
+    Raises:
+        UserError: the mission asks for what the emulator does not do, or a fault for a vehicle that is not there.
+    """
+    setting = case.setting
+    emulator = setting.emulator
+    config = world_config(plan, case.seed)
+    vehicles = tuple(
+        replace(
+            vehicle,
+            noise=emulator.noise.apply(vehicle.noise),
+            streams="quiet" if emulator.streams == "quiet" else vehicle.streams,
+        )
+        for vehicle in config.vehicles
+    )
+    config = replace(
+        config,
+        vehicles=vehicles,
+        wind=emulator.wind(),
+        downwash=emulator.downwash,
+        floor_m=0.0 if setting.starts.kind == "volume" else None,
+        faults=setting.faults.scheduled(),
+    )
+    link = emulator.link.config()
+    if link != config.uplink:
+        config = replace(config, uplink=link, downlink=link)
+    try:
+        World(config, case.seed)
+    except FaultError as error:
+        raise UserError(str(error)) from None
+    return config
+
+
+def _counted(states: list[str]) -> str:
+    """How many ended how, in words."""
+    counts: Mapping[str, int] = {state: states.count(state) for state in sorted(set(states))}
+    return ", ".join(f"{count} {state}" for state, count in counts.items())
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else math.nan

@@ -1,0 +1,180 @@
+"""The table of a campaign: rows go to Parquet as they finish, in part files that are whole or not there.
+
+At the end the parts are merged into one table sorted by run, which is the same, byte for byte, however often the campaign
+was killed and resumed and however many workers flew it. Wall times, which are not, stand in a table of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from groundstation.core.errors import UserError
+
+_TEXT, _REAL, _WHOLE, _YES = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+SCHEMA = pa.schema(
+    [
+        ("run", _WHOLE),
+        ("seed", _WHOLE),
+        ("cell", _TEXT),
+        ("drawn", _TEXT),
+        ("error", _TEXT),
+        ("vehicles", _WHOLE),
+        ("safety_radius_m", _REAL),
+        ("outcome", _TEXT),
+        ("reason", _TEXT),
+        ("success", _YES),
+        ("formed", _YES),
+        ("safe", _YES),
+        ("time_to_form_s", _REAL),
+        ("formation_error_m", _REAL),
+        ("min_distance_m", _REAL),
+        ("nearest_pair", _TEXT),
+        ("min_obedient_m", _REAL),
+        ("start_distance_m", _REAL),
+        ("gridlocks", _WHOLE),
+        ("role_swaps", _WHOLE),
+        ("setpoints", _WHOLE),
+        ("ticks", _WHOLE),
+        ("duration_s", _REAL),
+        ("phases", _TEXT),
+        ("end", _TEXT),
+        ("ended_safely", _YES),
+        ("alarms", _TEXT),
+        ("told", _YES),
+        ("faults", _TEXT),
+        ("fault_phase", _TEXT),
+        ("fault_vehicle", _WHOLE),
+        ("fault_at_s", _REAL),
+        ("log_mismatches", _WHOLE),
+        ("log_complete", _YES),
+    ]
+)
+_TIMES = pa.schema([("run", _WHOLE), ("wall_s", _REAL)])
+_PART = pa.schema([*SCHEMA, *list(_TIMES)[1:]])
+
+
+class Table:
+    """The rows of one campaign on disk.
+
+    Args:
+        folder: of the campaign.
+
+    Attributes:
+        runs_path: the merged table.
+        times_path: wall time of each run.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.runs_path, self.times_path = folder / "runs.parquet", folder / "wall.parquet"
+        self._identity_path, self._parts = folder / "campaign.json", folder / "parts"
+        self._next = 0
+
+    def open(self, identity: Mapping[str, Any], *, resume: bool) -> set[int]:
+        """Begins a campaign, or goes on with one.
+
+        Args:
+            identity: what the rows follow from; ``fingerprint`` and ``versions`` decide whether rows belong together.
+            resume: go on with what is there.
+
+        Returns:
+            Numbers of the runs that are there already.
+
+        Raises:
+            UserError: there is another campaign, or the folder cannot be written.
+        """
+        try:
+            self._parts.mkdir(parents=True, exist_ok=True)
+            if self._identity_path.exists():
+                self._check(identity, resume=resume)
+            self._replace(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
+        except OSError as error:
+            raise UserError(
+                f"{self.folder}: cannot be written: {error.strerror or error}; give another folder"
+            ) from None
+        numbers = [int(path.stem.removeprefix("part-")) for path in self._part_paths()]
+        self._next = max(numbers, default=-1) + 1
+        return {row["run"] for row in self._rows(["run"])}
+
+    def _check(self, identity: Mapping[str, Any], *, resume: bool) -> None:
+        try:
+            there = json.loads(self._identity_path.read_text(encoding="utf-8"))
+        except ValueError:
+            there = {}
+        if not resume:
+            raise UserError(f"{self.folder}: holds a campaign already; go on with --resume, or give another folder")
+        for key in ("fingerprint", "versions"):
+            if there.get(key) != identity[key]:
+                what = "other versions" if key == "versions" else "another mission, seed or vary file"
+                raise UserError(f"{self.folder}: its runs were made with {what}; rows of both would not go together")
+
+    def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Writes rows that have finished; they are on disk when this returns.
+
+        Raises:
+            UserError: they cannot be written.
+        """
+        if not rows:
+            return
+        path = self._parts / f"part-{self._next:06d}.parquet"
+        self._next += 1
+        try:
+            self._write(path, pa.Table.from_pylist([dict(row) for row in rows], schema=_PART))
+        except OSError as error:
+            raise UserError(f"{path}: cannot be written: {error.strerror or error}; make room, then --resume") from None
+
+    def merge(self) -> list[dict[str, Any]]:
+        """Puts all rows into one table, sorted by run, and returns them; NaN stays NaN."""
+        rows = sorted(self._rows(None), key=lambda row: int(row["run"]))
+        unique = list({row["run"]: row for row in rows}.values())
+        if unique:
+            whole = pa.Table.from_pylist(unique, schema=_PART)
+            self._write(self.runs_path, whole.select(SCHEMA.names).cast(SCHEMA))
+            self._write(self.times_path, whole.select(_TIMES.names).cast(_TIMES))
+            for path in self._part_paths():
+                path.unlink()
+        return unique
+
+    def _rows(self, columns: list[str] | None) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = []
+        if self.runs_path.exists() and self.times_path.exists():
+            merged = _read(self.runs_path, columns)
+            times = {row["run"]: row["wall_s"] for row in _read(self.times_path, None)}
+            rows += [{**row, "wall_s": times.get(row["run"], math.nan)} for row in merged]
+        for path in self._part_paths():
+            rows += _read(path, columns)
+        return rows
+
+    def _part_paths(self) -> list[Path]:
+        return sorted(self._parts.glob("part-*.parquet"))
+
+    def _write(self, path: Path, table: pa.Table) -> None:
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, compression="zstd")
+        self._replace(path, sink.getvalue().to_pybytes())
+
+    @staticmethod
+    def _replace(path: Path, data: bytes) -> None:
+        """Writes a file so that there is always a whole one, also after a power cut."""
+        new = path.with_name(f".{path.name}.new")
+        with new.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+
+
+def _read(path: Path, columns: list[str] | None) -> list[dict[str, Any]]:
+    try:
+        rows: list[dict[str, Any]] = pq.read_table(path, columns=columns).to_pylist()
+    except (OSError, pa.ArrowException) as error:
+        raise UserError(f"{path}: cannot be read: {error}; move it away, --resume then flies its runs again") from None
+    return rows

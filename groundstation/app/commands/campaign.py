@@ -1,0 +1,229 @@
+"""``gs campaign``: many dry runs of one mission over random starts and faults, and what they come to."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shlex
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as Listing
+from threadpoolctl import threadpool_limits
+
+from groundstation.app.campaign.cases import Cases
+from groundstation.app.campaign.report import write_summary
+from groundstation.app.campaign.run import Row, fly_case
+from groundstation.app.campaign.spread import Interrupted, dask_flyer, spread
+from groundstation.app.campaign.summary import below_r, missed, summarise
+from groundstation.app.campaign.table import Table
+from groundstation.app.campaign.vary import Vary, load_vary
+from groundstation.app.commands.fly import JsonOption, SetOption
+from groundstation.app.output import Output
+from groundstation.app.resources import find_config
+from groundstation.core.errors import CheckFailed, MissionFailed, UserError
+from groundstation.records.manifest import claim_log, versions
+
+_FLUSH_ROWS, _FLUSH_S = 50, 2.0
+_CELLS_SHOWN = 40
+
+
+def campaign(
+    mission: Annotated[
+        Path | None, typer.Option("--mission", help="Mission file; the one that --vary names by default.")
+    ] = None,
+    *,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help="How many in all; by default what --vary says, or one of each cell.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random in the campaign.", min=0)] = 0,
+    vary: Annotated[Path | None, typer.Option("--vary", help="What varies (YAML), see docs/campaigns.md.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler; processes of this machine by default.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes of this machine; one per core by default, 0 for a thread.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the campaign in the folder.")] = False,
+    only: Annotated[int | None, typer.Option(min=0, help="Fly this one run again, here and now.")] = None,
+    log: Annotated[Path | None, typer.Option(help="With --only: log to record (.tlog).")] = None,
+    out_dir: Annotated[Path | None, typer.Option("-o", help="Folder for table, summary and pictures.")] = None,
+    changes: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Flies a mission many times in the emulator: random starts, noise, links and faults.
+
+    Rows go to DIR/runs.parquet as they finish; killed or stopped, it goes on with --resume.
+    """
+    out = Output(as_json=as_json)
+    varied = load_vary(None if vary is None else find_config(vary, "campaigns"))
+    path = _mission(mission, varied)
+    cases = Cases(path, varied, seed, tuple(changes or ()))
+    if only is not None:
+        _fly_one(out, cases, only, log)
+        return
+    if out_dir is None or log is not None:
+        raise UserError("-o DIR is needed for the table" if out_dir is None else "--log goes with --only")
+    count = runs or varied.spec.runs or len(varied.cells)
+    table = Table(out_dir)
+    there = table.open(
+        {
+            "mission": str(path),
+            "vary": varied.source,
+            "seed": seed,
+            "runs": count,
+            "fingerprint": cases.fingerprint(),
+            "versions": versions(),
+        },
+        resume=resume,
+    )
+    todo = [run for run in range(count) if run not in there]
+    _announce(out, varied, count, len(todo))
+    interrupted = Interrupted()
+    if todo:
+        _fly_all(out, cases, todo, table, interrupted, scheduler, workers, done=count - len(todo))
+    rows = [row for row in table.merge() if row["run"] < count]
+
+    def command(run: int) -> str:
+        parts = ["gs", "campaign", "--seed", str(seed)]
+        parts += ["--mission", str(mission)] if mission is not None else []
+        parts += ["--vary", str(vary)] if vary is not None else []
+        parts += [part for change in changes or () for part in ("--set", change)]
+        return shlex.join([*parts, "--only", str(run), "--log", f"run-{run}.tlog"])
+
+    values = summarise(rows, [cell.name for cell in varied.cells], command)
+    values |= {"table": str(table.runs_path), "interrupted": interrupted.asked, "seed": seed}
+    write_summary(out_dir, f"{path.stem}: {len(rows)} runs", rows, values)
+    _tell(out, values, out_dir)
+    wanting = missed(values, varied.spec.expect)
+    values["missed"] = wanting
+    out.result(values)
+    if interrupted.asked:
+        raise MissionFailed(f"stopped after {len(rows)} of {count} runs; go on with --resume")
+    if wanting:
+        raise MissionFailed("; ".join(wanting))
+
+
+def _mission(mission: Path | None, varied: Vary) -> Path:
+    if mission is not None:
+        return find_config(mission, "missions")
+    if varied.spec.mission is None:
+        raise UserError("--mission FILE is missing, and the vary file names none")
+    beside = Path(varied.source).parent / varied.spec.mission
+    return beside if beside.is_file() else find_config(Path(varied.spec.mission), "missions")
+
+
+def _announce(out: Output, varied: Vary, count: int, todo: int) -> None:
+    cells = len(varied.cells)
+    each = f" over {cells} cells, {count / cells:.4g} each" if cells > 1 else ""
+    out.console.print(
+        f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}"
+    )
+    if count < cells:
+        out.console.print(f"fewer runs than cells: the last {cells - count} cells are not flown")
+
+
+def _fly_all(
+    out: Output,
+    cases: Cases,
+    todo: list[int],
+    table: Table,
+    interrupted: Interrupted,
+    scheduler: str | None,
+    workers: int | None,
+    *,
+    done: int,
+) -> None:
+    """Flies what is missing; whatever happens, rows that came back are in the table."""
+    waiting: list[Row] = []
+    flushed_s = time.monotonic()
+    counts = {"not formed": 0, "below r": 0, "errors": 0}
+    progress = Progress(
+        TextColumn("flying"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[state]}"),
+        console=out.console,
+        transient=True,
+        disable=not out.console.is_terminal,
+    )
+    bar = progress.add_task("flying", total=len(todo) + done, completed=done, state="")
+
+    def keep(rows: list[Row]) -> None:
+        nonlocal flushed_s
+        waiting.extend(rows)
+        for row in rows:
+            counts["not formed"] += not row["formed"]
+            counts["below r"] += below_r(row)
+            counts["errors"] += bool(row["error"])
+        state = ", ".join(f"{value} {key}" for key, value in counts.items() if value)
+        progress.update(bar, advance=len(rows), state=state)
+        if len(waiting) >= _FLUSH_ROWS or time.monotonic() - flushed_s >= _FLUSH_S:
+            table.append(waiting)
+            waiting.clear()
+            flushed_s = time.monotonic()
+
+    try:
+        with dask_flyer(scheduler, workers) as flyer, interrupted.listening(), progress:
+            spread(map(cases.case, itertools.chain(todo)), flyer, keep, interrupted)
+    finally:
+        table.append(waiting)
+
+
+def _fly_one(out: Output, cases: Cases, run: int, log: Path | None) -> None:
+    """Flies one run again, with a log where one is asked for."""
+    if log is not None:
+        claim_log(log, lambda there: there.dry_run)
+    with threadpool_limits(1):
+        row = fly_case(cases.case(run), log)
+    listing = Listing("column", "value", title=f"run {run}")
+    for key, value in row.items():
+        if value not in ("", None) and not (isinstance(value, float) and math.isnan(value)):
+            listing.add_row(key, f"{value:.4f}" if isinstance(value, float) else str(value))
+    out.console.print(listing)
+    out.result({**row, "log": None if log is None else str(log)})
+    if row["error"]:
+        raise MissionFailed(f"run {run}: {row['error']}") if row["outcome"] else _unflown(run, row)
+
+
+def _unflown(run: int, row: Row) -> UserError:
+    error = CheckFailed(f"run {run}: {row['error']}")
+    error.answered = True
+    return error
+
+
+def _tell(out: Output, values: Mapping[str, Any], folder: Path) -> None:
+    cells = [*values["cells"], {"cell": "all", **values}]
+    if len(cells) > _CELLS_SHOWN:
+        out.console.print(f"{len(cells) - 1} cells; those that are not safe in every run:")
+        cells = [cell for cell in cells[:-1] if cell["safe_rate"] < 1.0][:_CELLS_SHOWN] + cells[-1:]
+    listing = Listing("cell", box=SIMPLE_HEAD)
+    for heading in ("runs", "success %", "95 % interval", "formed", "safe", "<r", "median", "slowest", "nearest"):
+        listing.add_column(heading, no_wrap=True, justify="right")
+    for cell in cells:
+        listing.add_row(
+            cell["cell"],
+            str(cell["runs"]),
+            f"{100 * cell['success_rate']:.4g}",
+            f"{100 * cell['success_low']:.4g}-{100 * cell['success_high']:.4g}",
+            f"{100 * cell['formed_rate']:.4g}",
+            f"{100 * cell['safe_rate']:.4g}",
+            str(cell["below_r"]),
+            _figure(cell["median_time_to_form_s"], "s"),
+            _figure(cell["max_time_to_form_s"], "s"),
+            _figure(cell["min_distance_m"], "m"),
+        )
+    out.console.print(listing)
+    for worst in values["worst"][:3]:
+        out.console.print(f"run {worst['run']}: {worst['why']}\n  {worst['replay']}")
+    out.console.print(f"summary and pictures: {folder / 'index.html'}")
+
+
+def _figure(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if math.isfinite(value) else "-"

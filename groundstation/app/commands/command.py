@@ -1,0 +1,121 @@
+"""``gs command``: an order to a flight that is under way in another terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from groundstation.app.order_socket import ask, flights, runtime_folder
+from groundstation.app.output import Output
+from groundstation.core.errors import CheckFailed, MissionFailed, UserError
+from groundstation.mission.operator import parse_command
+
+_ANSWER_S = 5.0
+_CONFIRM = "kill"
+
+
+def command(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="ORDER",
+            help="hold, resume, return, land all, land 3, kill all, kill 3 5 or silence; nothing lists the flights.",
+        ),
+    ] = None,
+    *,
+    flight: Annotated[
+        str | None, typer.Option(help="Mission, log or process id of the flight, where there are several.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Kill without asking back.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+) -> None:
+    """Gives an order to a flight in another terminal: of the same user, on the same machine."""
+    out = Output(as_json=as_json)
+    found, silent = flights(runtime_folder(os.environ, Path.home()))
+    if not words:
+        _list(out, found, silent)
+        return
+    path, about = _choose(found, silent, flight)
+    try:
+        order = parse_command(" ".join(words), about.get("vehicles") or [1]).text
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    if order.split()[0] == _CONFIRM and not yes:
+        _confirm(out, order, str(about.get("mission")))
+    try:
+        answer = ask(path, {"order": order}, _ANSWER_S)
+    except (OSError, ValueError) as error:
+        raise CheckFailed(
+            f"{order}: flight {about.get('mission')} (process {about.get('pid')}) did not answer within"
+            f" {_ANSWER_S:g} s: {error}; whether it was obeyed is not known"
+        ) from error
+    values = {"mission": about.get("mission"), "log": about.get("log"), **answer}
+    for line in answer.get("said") or ():
+        out.console.print(Text(f"  {line}"))
+    if answer.get("ok"):
+        out.console.print(Text(f"{about.get('mission')}: {order}: taken, phase {answer.get('phase')}"))
+    out.result(values)
+    if not answer.get("ok"):
+        raise MissionFailed(f"{about.get('mission')}: {order}: {answer.get('why')}")
+
+
+def _list(out: Output, found: list[tuple[Path, dict[str, Any]]], silent: Any) -> None:
+    table = Table("mission", "phase", "vehicles", "process", "log")
+    for _, about in found:
+        ids = ", ".join(map(str, about.get("vehicles") or ()))
+        table.add_row(
+            *(str(about.get(key)) for key in ("mission", "phase")), ids, str(about.get("pid")), str(about.get("log"))
+        )
+    out.console.print(table if found else "no flight is under way")
+    for path in silent:
+        out.console.print(Text(f"process {path.stem} does not answer", style="bold red"))
+    out.result({"flights": [about for _, about in found], "silent": [path.stem for path in silent]})
+
+
+def _choose(found: list[tuple[Path, dict[str, Any]]], silent: Any, wanted: str | None) -> tuple[Path, dict[str, Any]]:
+    """The flight that is meant.
+
+    Raises:
+        CheckFailed: there is none.
+        UserError: there are several.
+    """
+    fitting = [item for item in found if wanted is None or _is_meant(item[1], wanted)]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = "; ".join(
+        f"{about.get('mission')}, log {about.get('log')}, process {about.get('pid')}" for _, about in found
+    )
+    if fitting:
+        raise UserError(f"several flights are under way: {names}; choose one with --flight")
+    if wanted is not None and found:
+        raise UserError(f"--flight {wanted}: no such flight is under way; there are: {names}")
+    stuck = f"; process {', '.join(path.stem for path in silent)} does not answer" if silent else ""
+    raise CheckFailed(f"no flight of this user is under way on this machine{stuck}")
+
+
+def _is_meant(about: dict[str, Any], wanted: str) -> bool:
+    log = str(about.get("log"))
+    return wanted in (about.get("mission"), str(about.get("pid")), log, Path(log).name, str(Path(log).resolve()))
+
+
+def _confirm(out: Output, order: str, mission: str) -> None:
+    """Asks back before motors stop.
+
+    Raises:
+        UserError: nobody can be asked, or the answer is another.
+    """
+    if not sys.stdin.isatty():
+        raise UserError(f"{order}: stops motors in the air; add --yes where nobody can be asked")
+    out.console.print(Text(f"{mission}: {order}: motors stop, vehicles fall. Type {_CONFIRM} and Enter:"), end=" ")
+    try:
+        typed = sys.stdin.readline().strip().lower()
+    except KeyboardInterrupt:
+        typed = ""
+    if typed != _CONFIRM:
+        raise UserError(f"{order}: not confirmed, nothing was done")

@@ -1,0 +1,119 @@
+"""Gives a signing key to the vehicles of a mission and believes it when they sign with it. Sans-IO.
+
+The key travels readable, as the MAVLink protocol has it: whoever hears the link has it too. It is sent to vehicles that
+are disarmed, to the address that their heartbeats come from, and to nobody else. Nothing of it is recorded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
+from groundstation.mavlink.signing import SecretKey, Signing, Verdict, timestamp_at
+from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
+from groundstation.mission.plan import MissionPlan
+
+_AGAIN_NS = 1_000_000_000
+_ARMED_FLAG = 0x80
+
+
+@dataclass
+class VehicleSetup:
+    """How far one vehicle is.
+
+    Attributes:
+        sysid: its system id.
+        link: index of its link.
+        signing: its key in use.
+        peer: where its heartbeats come from; None before.
+        armed: it may not be given a key then.
+        sent: times that it was sent the key.
+        signs: it signs with the key.
+    """
+
+    sysid: int
+    link: int
+    signing: Signing
+    peer: str | None = None
+    armed: bool = False
+    sent: int = 0
+    signs: bool = False
+
+    @property
+    def state(self) -> str:
+        """For people."""
+        if self.signs:
+            return "signs with the key"
+        if self.peer is None:
+            return "not heard; switch it on, or correct its id or link"
+        if self.armed:
+            return "is armed; disarm it first"
+        return f"was sent the key {self.sent} times, does not sign with it; has it another one? Then use USB"
+
+
+class KeySetup:
+    """One round of handing out keys.
+
+    Args:
+        plan: vehicles and links.
+        keys: by link; None for links that are not signed.
+        epoch_unix_us: date of time 0.
+    """
+
+    def __init__(self, plan: MissionPlan, keys: list[SecretKey | None], epoch_unix_us: int) -> None:
+        self._plan, self._keys, self._epoch_unix_us = plan, keys, epoch_unix_us
+        self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
+        self._splitters = Splitters()
+        self._next_ns = 0
+        signings = [None if key is None else Signing(key) for key in keys]
+        self.vehicles = [
+            VehicleSetup(vehicle.id, link, signing)
+            for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)
+            if (signing := signings[link]) is not None
+        ]
+
+    @property
+    def done(self) -> bool:
+        """Whether all vehicles sign."""
+        return all(vehicle.signs for vehicle in self.vehicles)
+
+    def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
+        """Takes what came over a link."""
+        for piece in self._splitters.feed((link, peer), data, stream=link in self._plan.stream_links):
+            if isinstance(piece, Frame) and piece.compid == AUTOPILOT_COMPID:
+                for vehicle in self.vehicles:
+                    if (vehicle.sysid, vehicle.link) == (piece.sysid, link):
+                        self._take(vehicle, peer, piece, now_ns)
+
+    def _take(self, vehicle: VehicleSetup, peer: str, frame: Frame, now_ns: int) -> None:
+        clock = timestamp_at(self._epoch_unix_us + now_ns // 1_000)
+        vehicle.signs |= vehicle.signing.check(frame, clock, vehicle.link) is Verdict.GOOD
+        for batch in decode([frame]):
+            if batch.name == "HEARTBEAT":
+                vehicle.peer = peer if vehicle.peer is None else vehicle.peer
+                vehicle.armed = bool(batch.values[0]["base_mode"] & _ARMED_FLAG)
+
+    def outgoing(self, now_ns: int) -> list[Outgoing]:
+        """What is to be sent now: heartbeats, and the key to those who are known, disarmed and do not sign yet."""
+        if now_ns < self._next_ns:
+            return []
+        self._next_ns = now_ns + _AGAIN_NS
+        hello = self._encoder.encode("HEARTBEAT", type=6, autopilot=8, system_status=4, mavlink_version=3)
+        sent = [
+            Outgoing(link, address.peer, (hello,)) for link, address in enumerate(self._plan.addresses) if address.peer
+        ]
+        clock = timestamp_at(self._epoch_unix_us + now_ns // 1_000)
+        for vehicle in self.vehicles:
+            key = self._keys[vehicle.link]
+            if vehicle.peer is None or vehicle.armed or vehicle.signs or key is None:
+                continue
+            vehicle.sent += 1
+            fields: dict[str, Any] = {"secret_key": key.setup_bytes(), "initial_timestamp": clock}
+            give = self._encoder.encode(
+                "SETUP_SIGNING", target_system=vehicle.sysid, target_component=AUTOPILOT_COMPID, **fields
+            )
+            signed = vehicle.signing.sign(hello, self._plan.link_id(vehicle.link), clock)
+            sent.append(Outgoing(vehicle.link, vehicle.peer, (give, signed)))
+        return sent

@@ -1,0 +1,142 @@
+"""What monitors look at, and what they may find. Values only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.vehicle import NEVER, Fleet
+
+SECOND_NS = 1_000_000_000
+
+
+class Reaction(Enum):
+    """What a finding asks for, from mild to hard."""
+
+    SAY = "say"
+    """A line for people."""
+    HOLD = "hold"
+    """This vehicle is told to stand still as long as it lasts."""
+    HOME = "home"
+    """This vehicle comes back and lands."""
+    LAND = "land"
+    """This vehicle lands where it is, when nobody is below."""
+    RELEASE = "release"
+    """This vehicle is no longer ours: no setpoint, no command."""
+    ALL_HOME = "all home"
+    """Everybody comes back and lands."""
+    SILENCE = "silence"
+    """Setpoints stop; the autopilots' own failsafe acts."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a monitor found.
+
+    Attributes:
+        reaction: what should happen.
+        what: in words, without the vehicle's name.
+        vehicles: whom it concerns; empty for the ground station or a link.
+        lost: nobody knows any more where the vehicle is.
+        urgent: does not wait for the end of an operator's hold.
+    """
+
+    reaction: Reaction
+    what: str
+    vehicles: tuple[int, ...] = ()
+    lost: bool = False
+    urgent: bool = False
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What monitors see of one tick.
+
+    Attributes:
+        fleet: what the vehicles report.
+        now_ns: time of the tick.
+        pos_team_ned_m: where they report to be at this tick, shape (n, 3).
+        vel_ned_m_s: how they report to move, shape (n, 3).
+        pose_ns: when position or attitude was measured, whichever is older, shape (n,).
+        drift_m: how far local and global positions disagree, by two samples in a row, shape (n,), NaN where not known.
+        sent_ned_m_s: the velocities that were sent last, shape (n, 3).
+        steered: gets setpoints that it should follow, shape (n,).
+        excused: told to land or to stop its motors, shape (n,): it may leave the streaming mode and disarm.
+        blind: position lost for good, shape (n,): nothing is judged by where it says it is.
+        airborne: shape (n,).
+        going_on: the mission goes on without a vehicle that is lost.
+    """
+
+    fleet: Fleet
+    now_ns: int
+    pos_team_ned_m: FloatArray
+    vel_ned_m_s: FloatArray
+    pose_ns: IntArray
+    drift_m: FloatArray
+    sent_ned_m_s: FloatArray
+    steered: BoolArray
+    excused: BoolArray
+    blind: BoolArray
+    airborne: BoolArray
+    going_on: bool = False
+
+
+class Watch(Protocol):
+    """A monitor."""
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterable[Finding]:
+        """Looks once per tick; ``ours`` are those that have not been released, shape (n,)."""
+
+
+@dataclass
+class Findings:
+    """What the monitors ask for in one tick.
+
+    Attributes:
+        alarms: lines for people, each said once.
+        home: vehicles that shall come back and land.
+        land: vehicles that shall land where they are, as soon as nobody is below.
+        release: vehicles that are no longer ours; no setpoint, no command.
+        gone: why somebody is no longer part of the formation while the mission goes on.
+        abort: why the team shall come back, None when it need not.
+        urgent: the team shall come back even from an operator's hold.
+        silence: why setpoints shall end, None when they need not.
+    """
+
+    alarms: list[str] = field(default_factory=list)
+    home: list[int] = field(default_factory=list)
+    land: list[int] = field(default_factory=list)
+    release: list[int] = field(default_factory=list)
+    gone: list[str] = field(default_factory=list)
+    abort: str | None = None
+    urgent: bool = False
+    silence: str | None = None
+
+
+class Lasting:
+    """Conditions, one per row, that are believed when they have lasted, and are then told once.
+
+    Args:
+        n: rows.
+        for_s: how long without a break; 0 at once.
+        again: told again when the condition has ended in between.
+    """
+
+    def __init__(self, n: int, for_s: float = 0.0, *, again: bool = False) -> None:
+        self._for_ns, self._again = round(for_s * SECOND_NS), again
+        self._since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._told: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    def __call__(self, condition: BoolArray, now_ns: int) -> list[int]:
+        """Takes the condition of this tick, shape (n,); returns the rows that are to be told now."""
+        self._since_ns = np.where(condition, np.where(self._since_ns == NEVER, now_ns, self._since_ns), NEVER)
+        if self._again:
+            self._told &= condition
+        news = condition & (now_ns - self._since_ns >= self._for_ns) & ~self._told
+        self._told |= news
+        return [int(row) for row in np.flatnonzero(news)]

@@ -1,0 +1,135 @@
+"""Monitors of how the team flies: fence, following, distances, and our own punctuality."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+
+from groundstation.core.limits import Fence
+from groundstation.core.metrics import pair_distances_m
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan import MissionPlan
+
+_BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
+_SMOOTH_S = 1.0
+_STRAYS_S = 2.0
+_STRAYS_ON_S = 6.0
+_NEW_IN_AIR_S = 3.0
+_RATE_OVER_S = 2.0
+_RATE_SHARE, _RATE_MIN_HZ = 0.2, 5.0
+_STREAM_OVER_S, _STREAM_MIN_HZ = 5.0, 2.0  # PX4 leaves OFFBOARD below 2 Hz, and comes back by itself with the next few
+
+
+class BeyondFence:
+    """Vehicles outside the fence, towards which nobody is steered."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        spec = plan.spec
+        self._limit_m = spec.limits.fence_beyond_m
+        self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
+        self._lasting = Lasting(plan.size, _BESIDE_S)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Brings everybody back: whatever carries one vehicle out may carry out the next."""
+        outside_m = self._fence.outside_m(sight.pos_team_ned_m)
+        counts = ours & ~sight.excused & ~sight.blind
+        for vehicle in self._lasting((outside_m > self._limit_m) & counts, sight.now_ns):
+            what = f"{outside_m[vehicle]:.2f} m outside the fence, limit {self._limit_m:g} m"
+            yield Finding(Reaction.ALL_HOME, what, (vehicle,))
+
+
+class Following:
+    """Vehicles that do not do what they are told, compared with a first-order lag that does."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        n = plan.size
+        self._limit_m_s = plan.tracking_m_s
+        self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
+        self._model: FloatArray = np.zeros((n, 3))
+        self._error: FloatArray = np.zeros((n, 3))
+        self._steered_s: FloatArray = np.zeros(n)
+        self._last_ns = 0
+        self._first, self._again = Lasting(n, _STRAYS_S), Lasting(n, _STRAYS_ON_S)
+        self.strays: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Brings back whoever strays, and lands it where it is when it goes on straying."""
+        passed_s = min((sight.now_ns - self._last_ns) / SECOND_NS, 0.2)
+        self._last_ns = sight.now_ns
+        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
+        self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
+        new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]
+        step = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None]
+        self._model = np.where(new, sight.vel_ned_m_s, self._model + step * (sight.sent_ned_m_s - self._model))
+        error = self._error + passed_s / _SMOOTH_S * (sight.vel_ned_m_s - self._model - self._error)
+        self._error = np.where(new | ~np.isfinite(error), 0.0, error)
+        off_m_s = np.linalg.norm(self._error, axis=1)
+        away = off_m_s > self._limit_m_s
+        for vehicle in self._first(away, sight.now_ns):
+            self.strays[vehicle] = True
+            what = f"does not follow its setpoints by {off_m_s[vehicle]:.2f} m/s, limit {self._limit_m_s:.2g} m/s"
+            yield Finding(Reaction.HOME, what, (vehicle,))
+        for vehicle in self._again(away, sight.now_ns):
+            yield Finding(Reaction.LAND, f"has not followed its setpoints for {_STRAYS_ON_S:g} s", (vehicle,))
+        self.strays &= away
+
+
+class Distance:
+    """Two vehicles nearer to each other than r, by their own reports."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        n = plan.size
+        self._radius_m = plan.spec.avoidance.radius_m
+        self._first, self._second = np.triu_indices(n, 1)
+        self._lasting = Lasting(len(self._first), _BESIDE_S)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Brings everybody back: what has kept them apart has failed."""
+        apart_m = pair_distances_m(sight.pos_team_ned_m)[self._first, self._second]
+        counts = sight.airborne & ours & ~sight.excused & ~sight.blind
+        near = (apart_m < self._radius_m) & counts[self._first] & counts[self._second]
+        for pair in self._lasting(near, sight.now_ns):
+            ids = sight.fleet.sysid[[self._first[pair], self._second[pair]]]
+            what = f"vehicles {ids[0]} and {ids[1]}: {apart_m[pair]:.2f} m apart, minimum is {self._radius_m:g} m"
+            yield Finding(Reaction.ALL_HOME, what)
+
+
+class LateTicks:
+    """Our own punctuality: control, avoidance and the autopilots all reckon with it."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self._late_s = plan.spec.limits.late_s
+        self._least_hz = max(_RATE_SHARE * plan.spec.rate_hz, _RATE_MIN_HZ)
+        self._ticks: deque[int] = deque()
+        self._late, self._slow, self._silent = Lasting(1, again=True), Lasting(1), Lasting(1)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Brings everybody back when ticks are late; ends a stream that flickers."""
+        now_ns = sight.now_ns
+        gap_s = (now_ns - self._ticks[-1]) / SECOND_NS if self._ticks else 0.0
+        self._ticks.append(now_ns)
+        while now_ns - self._ticks[0] > _STREAM_OVER_S * SECOND_NS:
+            self._ticks.popleft()
+        reach_s = (now_ns - self._ticks[0]) / SECOND_NS
+        recent = sum(now_ns - tick < _RATE_OVER_S * SECOND_NS for tick in self._ticks)
+        if self._late(np.array([gap_s > self._late_s]), now_ns):
+            what = f"the ground station stood still for {gap_s:.2f} s, limit {self._late_s:g} s"
+            yield Finding(Reaction.ALL_HOME, what)
+        slow = reach_s > _RATE_OVER_S and recent < self._least_hz * _RATE_OVER_S
+        if self._slow(np.array([slow]), now_ns):
+            what = f"the ground station makes {recent / _RATE_OVER_S:.1f} ticks a second, minimum is"
+            yield Finding(Reaction.ALL_HOME, f"{what} {self._least_hz:g}")
+        rare = reach_s > _STREAM_OVER_S - 1.0 / _STREAM_MIN_HZ and len(self._ticks) < _STREAM_OVER_S * _STREAM_MIN_HZ
+        if self._silent(np.array([rare]), now_ns):
+            what = f"the ground station makes less than {_STREAM_MIN_HZ:g} ticks a second, autopilots come and go with"
+            yield Finding(Reaction.SILENCE, f"{what} that", urgent=True)
+
+
+def bounded_growth_m(first_m: float, rate_m_s: float, age_s: FloatArray, most_m: float) -> FloatArray:
+    """A radius that grows with time up to a bound, shape of ``age_s``; an age that is not known counts as long ago."""
+    age_s = np.where(np.isfinite(age_s), age_s, math.inf)
+    return np.asarray(np.minimum(first_m + rate_m_s * np.maximum(age_s, 0.0), most_m))

@@ -1,0 +1,100 @@
+"""Monitors of what the autopilots say of themselves: heartbeats, modes, batteries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan import MissionPlan
+
+_MODE_LOST_S = 2.5  # two heartbeats, so that one from before our last request is not believed
+
+
+class Heartbeats:
+    """Vehicles of which nothing is heard, or of which nobody knows any more whether they follow."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self._limit_s = plan.spec.limits.heartbeat_age_s
+        self._lasting = Lasting(plan.size)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Brings back whoever is silent."""
+        fleet = sight.fleet
+        silent = fleet.silent(sight.now_ns, self._limit_s)
+        quiet = fleet.heartbeat_stale(sight.now_ns, self._limit_s)
+        for vehicle in self._lasting(quiet & ours, sight.now_ns):
+            if silent[vehicle]:
+                what = f"nothing heard for {self._limit_s:g} s"
+            else:
+                what = (
+                    f"no heartbeat for {HEARTBEAT_PATIENCE * self._limit_s:g} s, whether it is armed and follows is"
+                    " not known any more"
+                )
+            yield Finding(Reaction.HOME, what, (vehicle,))
+
+
+class Modes:
+    """Autopilots that left the mode that follows us, by themselves or by their pilot's hand."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self._autopilots = plan.autopilots
+        self._lasting = Lasting(plan.size, _MODE_LOST_S)
+        self.foreign: BoolArray = np.zeros(plan.size, dtype=np.bool_)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Releases those that have left, for good."""
+        fleet = sight.fleet
+        modes = zip(self._autopilots, fleet.custom_mode.tolist(), strict=True)
+        follows = np.array([autopilot.is_streaming_mode(mode) for autopilot, mode in modes]) & fleet.armed
+        # The heartbeat tells a new mode up to a second late; that it is landing, EXTENDED_SYS_STATE tells sooner.
+        self.foreign = (~follows | (fleet.landed_state == LANDED_LANDING)) & fleet.armed
+        for vehicle in self._lasting(~follows & ours & ~sight.excused, sight.now_ns):
+            mode = self._autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
+            what = f"left for mode {mode}" if fleet.armed[vehicle] else "disarmed by itself"
+            yield Finding(Reaction.RELEASE, what, (vehicle,))
+
+
+class Battery:
+    """Batteries: told, then brought back, then landed where it is. Two reports have to say so."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        limits = plan.spec.limits
+        self._stages = [
+            _Stage(plan.size, Reaction.SAY, "warning below", plan.battery_warn, None),
+            _Stage(plan.size, Reaction.HOME, "minimum is", limits.battery_min, limits.battery_min_v),
+            _Stage(plan.size, Reaction.LAND, "lands below", plan.battery_land, plan.battery_land_v),
+        ]
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Goes through the stages, the hardest first: of two that begin at once the milder one is not told."""
+        told: set[int] = set()
+        for stage in reversed(self._stages):
+            for vehicle, what in stage.look(sight, ours):
+                if vehicle not in told:
+                    told.add(vehicle)
+                    yield Finding(stage.reaction, what, (vehicle,), urgent=stage.reaction is not Reaction.SAY)
+
+
+class _Stage:
+    """One limit of the batteries, as a share and, where the mission says so, as a voltage."""
+
+    def __init__(self, n: int, reaction: Reaction, word: str, share: float, volts: float | None) -> None:
+        self.reaction, self._word, self._share, self._volts = reaction, word, share, volts
+        self._first_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._lasting = Lasting(n)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[tuple[int, str]]:
+        fleet = sight.fleet
+        share: FloatArray = fleet.battery_remaining
+        low_share = share < self._share  # NaN is not
+        low = low_share if self._volts is None else low_share | (fleet.battery_v < self._volts)
+        self._first_ns = np.where(low, np.where(self._first_ns == NEVER, fleet.status_ns, self._first_ns), NEVER)
+        for vehicle in self._lasting(low & (fleet.status_ns > self._first_ns) & ours, sight.now_ns):
+            if low_share[vehicle]:
+                yield vehicle, f"battery at {share[vehicle]:.0%}, {self._word} {self._share:.0%}"
+            else:
+                yield vehicle, f"battery at {fleet.battery_v[vehicle]:.1f} V, {self._word} {self._volts:g} V"

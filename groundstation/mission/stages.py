@@ -1,0 +1,329 @@
+"""The formations of a mission, one after the other, and whether there is room for each.
+
+A mission names one formation at its top; a ``form`` step may name another, or another size or law. A stage is a
+formation with its gains and its law; ``move`` steps change its size and place. Everything that can be known before the
+flight is judged here: shortest distances at every size, speed, and the fence as far as the pads tell where the team
+will be. Refuses to read files; ``plan`` does.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from groundstation.core.assignment import assign_roles
+from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
+from groundstation.core.errors import UserError
+from groundstation.core.formation import Formation, Gains
+from groundstation.core.motion import MovePlan, least_seconds
+from groundstation.core.regions import SafetyRegion, UprightRegion
+from groundstation.core.types import FloatArray, IntArray
+from groundstation.mission.positioning import all_offsets, check_radius
+from groundstation.mission.profiles import VehicleProfile
+from groundstation.mission.schema import MissionSpec, MoveStep, ScaleSpec
+
+MOVE_SHARE = 0.5
+"""Share of the speed and acceleration limits that a move may ask for; the rest is for keeping the formation."""
+
+_LEAST_MOVE_S = 1.0
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A formation with its gains, as read.
+
+    Attributes:
+        formation: points and sensing graph, ENU, at the size to be flown.
+        gains: checked against it.
+        gains_npz: the gains file that they came from, for the record.
+    """
+
+    formation: Formation
+    gains: Gains
+    gains_npz: bytes
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A formation of a mission and how it is formed.
+
+    Attributes:
+        key: where the mission names it, for messages.
+        shape: points, graph, gains.
+        control_gain: k that multiplies (14).
+        scale: f of (14).
+        upright_1_s: weight of the term that keeps the formation right side up.
+        assignment: auto or fixed.
+        swaps: vehicles that lock each other in may exchange their roles.
+    """
+
+    key: str
+    shape: Shape
+    control_gain: float
+    scale: ScaleFunction
+    upright_1_s: float
+    assignment: str
+    swaps: bool
+
+    @property
+    def formation(self) -> Formation:
+        """Points and sensing graph."""
+        return self.shape.formation
+
+
+def make_stage(
+    spec: MissionSpec,
+    shape: Shape,
+    profile: VehicleProfile,
+    lead_s: float,
+    *,
+    key: str = "formation",
+    scale: ScaleSpec | None = None,
+    assignment: str | None = None,
+) -> Stage:
+    """Puts a stage together; ``scale`` and ``assignment`` are the mission's own where not given."""
+    law = scale or spec.scale
+    function = ScaleFunction(kind=law.kind, gain=law.gain)
+    # The upright term fixes the vertical scale, which a free scale leaves to the start.
+    upright_1_s = 0.0 if law.kind == "free" else spec.upright_1_s
+    rate_1_s = rate_for_auto_gain_1_s(shape.formation, shape.gains, function, upright_1_s)
+    automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
+    chosen = assignment or spec.assignment
+    return Stage(
+        key=key,
+        shape=shape,
+        control_gain=automatic if spec.gain == "auto" else spec.gain,
+        scale=function,
+        upright_1_s=upright_1_s,
+        assignment=chosen,
+        swaps=chosen == "auto" if spec.role_swaps == "auto" else spec.role_swaps,
+    )
+
+
+def make_stages(
+    spec: MissionSpec, first: Shape, others: Mapping[int, Shape], profile: VehicleProfile, lead_s: float
+) -> tuple[tuple[Stage, ...], tuple[int, ...]]:
+    """Puts all stages together.
+
+    Args:
+        spec: the mission.
+        first: the formation named at its top.
+        others: formations of ``form`` steps that name their own, by number of the step.
+        profile: the slowest vehicle.
+        lead_s: how far ahead motion counts.
+
+    Returns:
+        The stages, that of the top first, and the stage under way in each step.
+    """
+    stages = [make_stage(spec, first, profile, lead_s)]
+    of_step, current = [], 0
+    for number, step in enumerate(spec.steps):
+        if step.form is not None:
+            form = step.form
+            current = 0
+            if number in others or form.scale is not None or form.assignment is not None:
+                current = len(stages)
+                stages.append(
+                    make_stage(
+                        spec,
+                        others.get(number, first),
+                        profile,
+                        lead_s,
+                        key=f"steps[{number}].form",
+                        scale=form.scale,
+                        assignment=form.assignment,
+                    )
+                )
+        of_step.append(current)
+    return tuple(stages), tuple(of_step)
+
+
+def shortest_m(formation: Formation) -> float:
+    """Shortest distance between two points of a formation."""
+    first, second = np.triu_indices(formation.size, 1)
+    points = formation.points_enu_m
+    return float(np.linalg.norm(points[first] - points[second], axis=1).min())
+
+
+def roles_for(stage: Stage, pos_enu_m: FloatArray) -> IntArray:
+    """Role per vehicle, shape (n,), for vehicles that stand or fly at given places, shape (n, 3)."""
+    formation = stage.formation
+    if stage.assignment != "auto":
+        return np.arange(formation.size)
+    if stage.scale.kind == "free":
+        sizes = [float(np.linalg.norm(item - item.mean(axis=0))) for item in (pos_enu_m, formation.points_enu_m)]
+        formation = replace(formation, points_enu_m=formation.points_enu_m * sizes[0] / max(sizes[1], 1e-9))
+    return assign_roles(pos_enu_m, formation).role_of_agent
+
+
+def check_clearance(
+    region: UprightRegion, points_m: FloatArray, names: tuple[str, str], remedy: str, source: str
+) -> None:
+    """Refuses points inside of each other's upright region.
+
+    Args:
+        region: with its half height.
+        points_m: shape (n, 3).
+        names: of the later and the earlier of two points, with a place for their number.
+        remedy: what can be done, besides a smaller region.
+        source: the mission's name, and the key.
+
+    Raises:
+        UserError: with the two points.
+    """
+    for i, j in itertools.combinations(range(len(points_m)), 2):
+        offset = points_m[j] - points_m[i]
+        if region.clearance(offset) <= 1.0:
+            raise UserError(
+                f"{source}: {names[0].format(j)}: {math.hypot(*offset[:2]):.3g} m beside and {abs(offset[2]):.3g} m"
+                f" above or below {names[1].format(i)}, inside of the {region.name} of avoidance.radius_m"
+                f" {region.radius_m:g} m and half_height_m {region.half_height_m:g} m; {remedy} or make the region"
+                " smaller"
+            )
+
+
+def check_shape(
+    spec: MissionSpec, formation: Formation, region: SafetyRegion, *, floor_m: float, source: str, key: str
+) -> None:
+    """Refuses a formation of the wrong size, too dense for r, or too large for the fence.
+
+    Raises:
+        UserError: with key, value, limit and remedy.
+    """
+    at = "" if key == "formation" else f"{key}: "
+    if len(spec.vehicles) != formation.size:
+        raise UserError(
+            f"{source}: {at}vehicles: {len(spec.vehicles)} listed, formation {formation.name} has {formation.size}"
+            " points; list one vehicle for each point"
+        )
+    if isinstance(region, UprightRegion):
+        names = "formation.points[{}]", "points[{}]"
+        check_clearance(region, formation.points_enu_m, names, "scale the formation up", f"{source}: {at}".rstrip(": "))
+    radius = spec.avoidance.radius_m
+    for i, j in itertools.combinations(range(formation.size), 2):
+        distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
+        if distance <= radius:
+            raise UserError(
+                f"{source}: {at}formation.points[{j}]: {distance:.3g} m from points[{i}], minimum is more than"
+                f" {radius:g} m (avoidance.radius_m); scale the formation up or lower the radius"
+            )
+    low, high = np.array(spec.fence.min_m), np.array(spec.fence.max_m)
+    for axis, letter in enumerate("xyz"):
+        extent = float(np.ptp(formation.points_enu_m[:, axis])) if axis == 2 else _widest(formation)
+        room = float(high[axis] - (max(low[axis], floor_m) if axis == 2 else low[axis]))
+        if extent > room:
+            raise UserError(
+                f"{source}: {at}fence: {room:.3g} m of room along {letter}, formation {formation.name} needs"
+                f" {extent:.3g} m; enlarge the fence or scale the formation down"
+            )
+
+
+def _widest(formation: Formation) -> float:
+    horizontal = formation.points_enu_m[:, :2]
+    return float(np.linalg.norm(horizontal[:, None] - horizontal[None, :], axis=-1).max())
+
+
+def plan_moves(
+    spec: MissionSpec,
+    stages: Sequence[Stage],
+    stage_of_step: Sequence[int],
+    *,
+    region: SafetyRegion,
+    pads_enu_m: FloatArray,
+    floor_m: float,
+    acceleration_limit_m_s2: float,
+    position_error_m: float,
+    positioning: str,
+    source: str,
+) -> tuple[dict[int, MovePlan], float]:
+    """Judges every ``move`` step and gives those without a duration the shortest one.
+
+    The centre of the team is taken to stay where the takeoff leaves it, above the middle of the pads, and as high as
+    the floor demands; the law does not move it. In flight every move is judged again by where the team is.
+
+    Returns:
+        The moves by number of their step, and what the formations leave between two safety regions at least.
+
+    Raises:
+        UserError: with key, value, limit and remedy.
+    """
+    moves: dict[int, MovePlan] = {}
+    size, least = 1.0, min(region.room_m(all_offsets(stage.formation.points_enu_m)) for stage in stages)
+    centre = pads_enu_m.mean(axis=0) + np.array([0.0, 0.0, spec.takeoff.height_m])
+    for number, step in enumerate(spec.steps):
+        stage = stages[stage_of_step[number]]
+        points = stage.formation.points_enu_m - stage.formation.points_enu_m.mean(axis=0)
+        if step.form is not None:
+            size = 1.0
+            centre[2] = max(centre[2], floor_m - float(points[:, 2].min()))
+        elif step.move is not None:
+            key = f"{source}: steps[{number}].move"
+            move = _timed(step.move, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
+            moves[number] = move
+            size *= move.scale
+            radius = spec.avoidance.radius_m
+            shortest = size * shortest_m(stage.formation)
+            if stage.scale.kind != "free":
+                least = min(least, region.room_m(all_offsets(size * points)))
+                if shortest <= radius:
+                    raise UserError(
+                        f"{key}.scale: {step.move.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
+                        f" {radius:g} m (avoidance.radius_m); scale by more, or lower the radius"
+                    )
+                smaller = Formation(stage.formation.name, size * points, stage.formation.edges)
+                check_radius(
+                    f"{key}.scale",
+                    smaller,
+                    pads_enu_m,
+                    region=region,
+                    position_error_m=position_error_m,
+                    positioning=positioning,
+                )
+            centre = centre + move.by_enu_m
+            _check_fence(spec, size * points, centre, floor_m, key)
+    return moves, least
+
+
+def _timed(step: MoveStep, points_m: FloatArray, speed_limit_m_s: float, accel_m_s2: float, key: str) -> MovePlan:
+    """A move with its duration, which must leave the vehicles room to keep the formation."""
+    level = float(np.linalg.norm(points_m[:, :2], axis=1).max())
+    radius = float(np.linalg.norm(points_m, axis=1).max())
+    by = np.array(step.by_m, dtype=np.float64)
+    turn = math.radians(step.turn_deg)
+    if not by.any() and turn == 0.0 and step.scale == 1.0:
+        raise UserError(f"{key}: neither by_m, turn_deg nor scale is given; give one, or hold in its place")
+    move = MovePlan(by, turn, step.scale, step.seconds or 1.0)
+    least = least_seconds(move, level, radius, MOVE_SHARE * speed_limit_m_s, MOVE_SHARE * accel_m_s2)
+    if step.seconds is None:
+        return MovePlan(by, turn, step.scale, max(_LEAST_MOVE_S, math.ceil(10.0 * least) / 10.0))
+    if step.seconds < least - 1e-9:
+        raise UserError(
+            f"{key}.seconds: {step.seconds:g} s is too short, at least {math.ceil(10.0 * least) / 10.0:g} s are needed"
+            f" with half of the speed limit of {speed_limit_m_s:g} m/s and half of the acceleration of"
+            f" {accel_m_s2:g} m/s^2; take more time, or leave it out"
+        )
+    return move
+
+
+def _check_fence(spec: MissionSpec, points_m: FloatArray, centre_m: FloatArray, floor_m: float, key: str) -> None:
+    """Refuses a move that ends outside the fence, whatever the formation's heading."""
+    low, high = np.array(spec.fence.min_m), np.array(spec.fence.max_m)
+    low[2] = max(low[2], floor_m)
+    level = float(np.linalg.norm(points_m[:, :2], axis=1).max())
+    reach_low = np.array([level, level, -float(points_m[:, 2].min())])
+    reach_high = np.array([level, level, float(points_m[:, 2].max())])
+    for axis, letter in enumerate("xyz"):
+        for value, wall, sign in (
+            (centre_m[axis] - reach_low[axis], low[axis], -1.0),
+            (centre_m[axis] + reach_high[axis], high[axis], 1.0),
+        ):
+            if sign * (value - wall) > 1e-6:
+                name = "min_altitude_m or fence.min_m" if axis == 2 and sign < 0.0 else "fence"
+                raise UserError(
+                    f"{key}: takes the formation to {letter} = {value:.3g} m (the team is expected above the middle of"
+                    f" its pads), {name} ends at {wall:g} m; move less, or enlarge the fence"
+                )

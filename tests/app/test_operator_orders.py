@@ -1,0 +1,320 @@
+"""The operator's orders in flight: every order in every phase, and what whole flights come to."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+from groundstation.app.emulator import world_config
+from groundstation.app.session import Session
+from groundstation.app.verify import verify_log
+from groundstation.mission.plan import MissionPlan
+from groundstation.mission.runner import Phase, Runner
+from groundstation.mission.state import Note
+from sitl.world import World
+from tests.app.flights import SECOND_NS, Flight, Tamper, cube8, pair
+
+PERIOD_NS = 20_000_000
+DONE = "."  # obeyed, no change of phase
+# What an order leads to: a phase, . for no change, x for a refusal. Columns: hold resume return land kill silence.
+LEADS_TO = {
+    Phase.CONNECT: "done x done done silent silent",
+    Phase.ARM: "land x land land land silent",
+    Phase.TAKEOFF: "pause x stop land return silent",
+    Phase.FORM: "pause x stop land return silent",
+    Phase.HOLD: "pause x stop land return silent",
+    Phase.STOP: "pause x . land . silent",
+    Phase.PAUSE: "x hold return land . silent",
+    Phase.RETURN: "pause x . land . silent",
+    Phase.LAND: "x x . x . silent",
+    Phase.SILENT: "x x x . . x",
+    Phase.DONE: "x x x x x x",
+}
+LINES = ("hold", "resume", "return", "land all", "kill 2", "silence")
+
+
+class Stepped:
+    """A flight that is stepped by hand and can be copied at any moment."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self.world, self.runner = World(world_config(plan, 1), 1), Runner(plan, 0)
+        self.now_ns, self._begin_ns = 0, self.world.now_ns
+        self.notes: list[Note] = []
+
+    def step(self, ticks: int = 1) -> None:
+        for _ in range(ticks):
+            self.now_ns += PERIOD_NS
+            fleet = self.runner.fleet
+            for sent in self.world.advance(self.now_ns + self._begin_ns):
+                peer = f"emulator:{fleet.sysid[sent.vehicle_index]}"
+                self.runner.receive(int(fleet.link[sent.vehicle_index]), peer, sent.data, sent.t_ns - self._begin_ns)
+            for datagram in self.runner.step(self.now_ns):
+                row = fleet.sysid.tolist().index(int(datagram.peer.split(":")[1]))
+                self.world.receive(row, b"".join(datagram.frames), self.now_ns + self._begin_ns)
+            self.notes += self.runner.take_notes()
+
+    def until(self, condition: Callable[[Stepped], bool]) -> Stepped:
+        while not condition(self):
+            self.step()
+            assert self.now_ns < 200 * SECOND_NS
+        return self
+
+
+@pytest.fixture(scope="module")
+def moments() -> dict[Phase, Stepped]:
+    """One flight, kept as it was a moment after it entered each phase."""
+    kept: dict[Phase, Stepped] = {}
+
+    def reach(flight: Stepped, phase: Phase) -> None:
+        flight.until(lambda flight: flight.runner.phase is phase)
+        if phase is not Phase.DONE:
+            flight.step(10 if phase in (Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.RETURN) else 2)
+        kept[phase] = copy.deepcopy(flight)
+
+    flight = Stepped(pair(autopilots=("px4", "px4")))
+    for phase in (
+        Phase.CONNECT,
+        Phase.ARM,
+        Phase.TAKEOFF,
+        Phase.FORM,
+        Phase.HOLD,
+        Phase.RETURN,
+        Phase.LAND,
+        Phase.DONE,
+    ):
+        reach(flight, phase)
+    for line, phase in (("return", Phase.STOP), ("hold", Phase.PAUSE), ("silence", Phase.SILENT)):
+        branch = copy.deepcopy(kept[Phase.HOLD])
+        branch.runner.operator(line)
+        reach(branch, phase)
+    return kept
+
+
+@pytest.mark.parametrize("phase", list(Phase), ids=lambda phase: phase.value)
+@pytest.mark.parametrize("line", LINES)
+def test_every_order_in_every_phase(moments: dict[Phase, Stepped], phase: Phase, line: str) -> None:
+    expected = LEADS_TO[phase].split()[LINES.index(line)]
+    flight = copy.deepcopy(moments[phase])
+    flight.notes.clear()
+    flight.runner.operator(line)
+    flight.step()
+    refused = [note.text for note in flight.notes if note.text.startswith(f"operator: {line} refused: ")]
+    assert bool(refused) == (expected == "x"), flight.notes
+    assert flight.runner.phase.value == (phase.value if expected in ("x", ".") else expected)
+    if expected != "x":
+        assert Note("info", f"operator: {line}") in flight.notes
+
+
+def _says(*lines: tuple[Callable[[Flight], bool], str]) -> Callable[[Flight], bool]:
+    """Says each line once, as soon as its moment has come and the ones before it were said."""
+    left = list(lines)
+
+    def look(flight: Flight) -> bool:
+        if left and left[0][0](flight):
+            flight.session.operator(left.pop(0)[1], flight.now_ns)
+        return False
+
+    return look
+
+
+def _in(phase: Phase, for_s: float = 0.1) -> Callable[[Flight], bool]:
+    """When the team has been in a phase for a while."""
+    since: list[int] = []
+
+    def reached(flight: Flight) -> bool:
+        if flight.runner.phase is phase and not since:
+            since.append(flight.now_ns)
+        return bool(since) and flight.now_ns - since[0] >= for_s * SECOND_NS
+
+    return reached
+
+
+def _safe(flight: Flight) -> None:
+    truth = flight.world.truth
+    assert not truth.armed.any()
+    assert not truth.airborne.any()
+    assert flight.world.min_distance_airborne_m >= flight.plan.spec.avoidance.radius_m
+
+
+def _verified(log: Path) -> None:
+    result = verify_log(log)
+    assert (result.mismatches, result.complete) == (0, True)
+    assert result.setpoints > 0
+
+
+@pytest.mark.parametrize(
+    ("phase", "name"),
+    [(Phase.TAKEOFF, "pair"), (Phase.FORM, "cube8"), (Phase.HOLD, "pair"), (Phase.RETURN, "pair")],
+)
+def test_a_hold_stands_still_pauses_the_clock_of_the_step_and_goes_on_where_it_was(
+    phase: Phase, name: str, tmp_path: Path
+) -> None:
+    """Held for longer than the step may last: nothing times out, nobody moves, and the mission is completed."""
+    log = tmp_path / "flight.tlog"
+    places = []
+
+    class Watched(Flight):
+        def _watch(self, session: Session, now_ns: int) -> None:
+            super()._watch(session, now_ns)
+            if self.runner.phase is Phase.PAUSE:
+                places.append(self.world.truth.pos_enu_m.copy())
+
+    limits = ("takeoff.timeout_s=12", "steps.0.form.timeout_s=20", "land.timeout_s=14")
+    plan = cube8(*limits) if name == "cube8" else pair(*limits)
+    says = _says((_in(phase, 4.0 if phase is Phase.TAKEOFF else 0.3), "hold"), (_in(Phase.PAUSE, 15.0), "resume"))
+    flight = Watched(plan, seed=2, log=log, interrupt_when=says)
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
+    _safe(flight)
+    stood = np.array(places[round(5 * plan.spec.rate_hz) :])  # five seconds to come to rest
+    assert len(stood) >= 9.9 * plan.spec.rate_hz
+    assert np.linalg.norm(stood - stood[0], axis=-1).max() < max(0.1, plan.margin_m)
+    kept = [seen.value for seen in flight.phase_seen]
+    where = kept.index("pause")
+    assert kept[where - 1] == kept[where + 1] == phase.value
+    _verified(log)
+
+
+def test_a_hold_that_nobody_ends_is_ended_by_the_battery_and_by_its_own_limit() -> None:
+    def drain(world: World) -> None:
+        world.autopilots[1].battery.extra_per_s = 0.02
+
+    flight = Flight(pair(), prepare=drain, interrupt_when=_says((_in(Phase.FORM), "hold")))
+    assert flight.runner.outcome == "aborted"
+    assert flight.runner.reason.startswith("vehicle 2: battery at ")
+    _safe(flight)
+    held = Flight(pair("limits.hold_s=4"), interrupt_when=_says((_in(Phase.FORM), "hold")))
+    assert held.runner.reason == "held for 4 s, which is the limit; the hold is over, everybody comes back"
+    _safe(held)
+
+
+def test_nothing_is_held_on_a_low_battery() -> None:
+    hold = _says((_in(Phase.RETURN, 0.5), "hold"))
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.HOLD:
+            flight.world.autopilots[1].battery.left = 0.1
+        return hold(flight)
+
+    flight = Flight(pair(), interrupt_when=look)
+    assert "operator: hold refused: vehicle 2: battery at 10%, minimum is 40%" in flight.texts("alarm")
+    assert Phase.PAUSE not in flight.phase_seen
+    _safe(flight)
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_land_all_from_the_cube_comes_down_in_place_and_whoever_has_somebody_below_moves_aside(
+    seed: int, tmp_path: Path
+) -> None:
+    log = tmp_path / "flight.tlog"
+    flight = Flight(cube8(), seed=seed, log=log, interrupt_when=_says((_in(Phase.HOLD), "land all")))
+    assert (flight.runner.outcome, flight.runner.reason) == ("aborted", "landed by the operator")
+    _safe(flight)
+    assert Phase.RETURN not in flight.phase_seen
+    asked = [text for text in flight.texts("info") if "aside before it lands" in text]
+    assert 0 < len(asked) <= 4
+    places = flight.world.truth.pos_enu_m[:, :2]
+    apart = np.linalg.norm(places[:, None] - places[None, :], axis=-1)[~np.eye(8, dtype=bool)]
+    assert apart.min() >= 0.45
+    _verified(log)
+
+
+@pytest.mark.parametrize("autopilots", [("px4", "px4"), ("arducopter", "arducopter")])
+@pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.STOP, Phase.PAUSE, Phase.RETURN])
+def test_land_all_lands_from_other_phases_too(phase: Phase, autopilots: tuple[str, str]) -> None:
+    before = {Phase.STOP: "return", Phase.PAUSE: "hold"}
+    first = [(_in(Phase.FORM), before[phase])] if phase in before else []
+    flight = Flight(
+        pair(autopilots=autopilots), interrupt_when=_says(*first, (_in(phase, 0.3), "land all")), limit_s=120
+    )
+    assert "landed by the operator" in flight.runner.reason
+    _safe(flight)
+    away = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert phase is not Phase.PAUSE or away.max() > 0.3  # not flown back first
+
+
+@pytest.mark.parametrize("vehicle", [4])
+def test_land_one_brings_it_down_where_it_is_and_nobody_is_hit(vehicle: int, tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    flight = Flight(cube8(), log=log, interrupt_when=_says((_in(Phase.HOLD), f"land {vehicle}")))
+    assert flight.runner.reason == f"vehicle {vehicle}: landed by the operator"
+    _safe(flight)
+    off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert off_pad[vehicle - 1] > 0.2
+    assert np.delete(off_pad, vehicle - 1).max() < 0.3
+    _verified(log)
+
+
+@pytest.mark.parametrize("vehicle", [1, 6])
+def test_a_killed_vehicle_falls_at_once_and_the_others_come_back(vehicle: int) -> None:
+    told: list[int] = []
+    stopped: list[int] = []
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.HOLD and not told:
+            told.append(flight.now_ns)
+            flight.session.operator(f"kill {vehicle}", flight.now_ns)
+        if told and not stopped and not flight.world.truth.armed[vehicle - 1]:
+            stopped.append(flight.now_ns)
+        return False
+
+    flight = Flight(cube8(), interrupt_when=look)
+    assert stopped[0] - told[0] <= 0.1 * SECOND_NS
+    assert flight.runner.reason == f"vehicle {vehicle}: killed by the operator"
+    truth = flight.world.truth
+    assert not truth.armed.any()
+    assert not truth.airborne.any()
+    off_pad = np.linalg.norm(truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert np.delete(off_pad, vehicle - 1).max() < 0.3
+
+
+@pytest.mark.parametrize("phase", [Phase.ARM, Phase.TAKEOFF, Phase.HOLD, Phase.LAND, Phase.SILENT])
+def test_kill_all_gets_through_a_link_that_loses_half_of_everything(phase: Phase, tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    rng = np.random.default_rng(3)
+    told: list[int] = []
+
+    class Lossy(Flight):
+        def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
+            if not (told and rng.random() < 0.5):
+                super().receive(vehicle_index, data, now_ns)
+
+    def lose(datagram: object, _flight: Flight) -> list[object]:
+        return [] if told and rng.random() < 0.5 else [datagram]
+
+    lines = _says(*([(_in(Phase.HOLD), "silence")] if phase is Phase.SILENT else []), (_in(phase), "kill all"))
+
+    def look(flight: Flight) -> bool:
+        lines(flight)
+        if "operator: kill all" in flight.texts("info"):
+            told.append(flight.now_ns)
+        return False
+
+    flight = Lossy(pair(), log=log, tamper=cast("Tamper", lose), interrupt_when=look)
+    assert "everybody: killed by the operator" in flight.runner.reason
+    assert not flight.world.truth.armed.any()
+    assert flight.runner.done
+    assert flight.now_ns - told[0] < 15 * SECOND_NS
+    _verified(log)
+
+
+def test_a_released_vehicle_is_not_landed_but_can_be_killed() -> None:
+    flight = Flight(
+        pair(),
+        interrupt_when=_says((_in(Phase.HOLD), "kill 1"), (_in(Phase.RETURN), "land 1"), (_in(Phase.RETURN), "kill 1")),
+    )
+    assert "operator: vehicle 1 is released and not ours to land" in flight.texts("alarm")
+    assert not flight.world.truth.armed.any()
+
+
+def test_what_is_not_understood_is_said_and_changes_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    flight = Flight(pair(), log=log, interrupt_when=_says((_in(Phase.FORM), "dance"), (_in(Phase.HOLD), "kill 99")))
+    assert flight.runner.outcome == "completed"
+    assert "operator command 'dance' is none of hold" in flight.texts("alarm")[0]
+    assert "99 is no vehicle of this mission; those are 1, 2" in flight.texts("alarm")[1]
+    _verified(log)
