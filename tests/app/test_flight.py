@@ -212,7 +212,7 @@ def test_a_vehicle_whose_position_stops_in_flight_lands_and_the_others_come_back
 
 @pytest.mark.parametrize("vehicle", range(8))
 def test_a_vehicle_that_falls_silent_altogether_hits_nobody_and_is_not_waited_for(vehicle: int) -> None:
-    """Its link is dead both ways: its own failsafe holds it where it is, and brings it home when the others are down."""
+    """Its link is dead both ways: its own failsafe holds it, and brings it home when the others are down."""
     dead: list[int] = []
 
     class Cut(Flight):
