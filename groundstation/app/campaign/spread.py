@@ -24,6 +24,12 @@ from groundstation.records.manifest import versions
 _AHEAD = 3  # cases per thread that are waiting or being flown
 _PATIENCE_S = 30.0
 _LOOK_S = 0.2
+_QUIET = {
+    "distributed.comm.timeouts.connect": "10s",
+    "distributed.scheduler.http.routes": [],  # nothing to be looked at over HTTP
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.http.routes": [],
+}
 
 
 class Flyer(Protocol):
@@ -144,9 +150,7 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
     with ExitStack() as stack:
-        stack.enter_context(
-            dask.config.set({"distributed.comm.timeouts.connect": "10s", "distributed.admin.large-graph-warning-threshold": "1GB"})
-        )
+        stack.enter_context(dask.config.set(_QUIET))
         for name in ("distributed", "distributed.worker", "distributed.nanny", "distributed.scheduler"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         if address is None:
@@ -159,7 +163,7 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
                     n_workers=workers or (1 if workers == 0 else os.cpu_count()),
                     threads_per_worker=1,
                     processes=workers != 0,
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                 )
             finally:
