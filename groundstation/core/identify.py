@@ -1,11 +1,11 @@
 """How a vehicle follows a velocity: lag and delay from what it was told and what it did.
 
-The response to a step is taken for a delay and then a sum of first-order lags, fast and slow ones, with weights that are
-not negative: a vehicle with much drag comes near its setpoint quickly and creeps the rest of the way. Weights and delay are
-fitted by least squares over the whole record, on one axis or several together, with the offset of the velocity left free.
-What is told is what the control gain and the avoidance count with: the time to 63 % of what was asked for, and as the
-lag that time less the delay. Where the record does not tell (nothing was asked for, or noise hides the answer) there
-is no figure, but a reason.
+The response to a step is taken for a delay and then a sum of first-order lags, fast and slow ones, with weights that
+are not negative: a vehicle with much drag comes near its setpoint quickly and creeps the rest of the way. Weights and
+delay are fitted by least squares over the whole record, on one axis or several together, with the offset of the
+velocity left free. What is told is what the control gain and the avoidance count with: the time to 63 % of what was
+asked for, and as the lag that time less the delay. Where the record does not tell (nothing was asked for, or noise
+hides the answer) there is no figure, but a reason.
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ def identify(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray]) ->
     jacobian = np.stack([(slower - residual) / (_NUDGE * lag), (later - residual) / _NUDGE], axis=1)
     error = _standard_error(jacobian, residual)
     if not error <= _UNSURE_MAX * (lag + delay):
-        problem = f"not sure enough: t63 {lag + delay:.2f} s with a standard error of {error:.2f} s; fly longer, or faster"
+        problem = (
+            f"not sure enough: t63 {lag + delay:.2f} s with a standard error of {error:.2f} s; fly longer, or faster"
+        )
         return Response(error_s=error, gain=gain, explained=explained, problem=problem)
     return Response(lag, delay, error, gain, explained)
 

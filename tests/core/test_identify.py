@@ -28,9 +28,7 @@ def _steps(rng: np.random.Generator, seconds: float) -> FloatArray:
 
 
 @settings(max_examples=8, deadline=None)
-@given(
-    tau=st.floats(0.1, 1.2), delay=st.floats(0.0, 0.3), noise=st.floats(0.0, 0.05), seed=st.integers(0, 2**32 - 1)
-)
+@given(tau=st.floats(0.1, 1.2), delay=st.floats(0.0, 0.3), noise=st.floats(0.0, 0.05), seed=st.integers(0, 2**32 - 1))
 def test_lag_and_delay_are_found_under_noise(tau: float, delay: float, noise: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     asked = [_steps(rng, 24.0) for _ in range(2)]

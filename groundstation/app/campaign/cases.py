@@ -155,9 +155,7 @@ class _Team:
             "min_m": np.minimum(self._fence["min_m"], [*(low[:2] - _ROOM_M), 0.0]).tolist(),
             "max_m": np.maximum(self._fence["max_m"], [*(high[:2] + _ROOM_M), top]).tolist(),
         }
-        vehicles = [
-            {**vehicle, "pad_m": pad.tolist()} for vehicle, pad in zip(record["vehicles"], pads, strict=True)
-        ]
+        vehicles = [{**vehicle, "pad_m": pad.tolist()} for vehicle, pad in zip(record["vehicles"], pads, strict=True)]
         return {**record, "fence": fence, "vehicles": vehicles}
 
 
@@ -197,7 +195,8 @@ def scattered(count: int, low: FloatArray, high: FloatArray, apart_m: float, rng
 
     Args:
         count: how many.
-        low, high: corners, shape (3,).
+        low: lower corner, shape (3,).
+        high: upper corner, shape (3,).
         apart_m: smallest distance.
         rng: draws.
 

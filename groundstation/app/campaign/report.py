@@ -113,7 +113,9 @@ def _page(title: str, values: Mapping[str, Any], pictures: Sequence[tuple[str, s
         f"<tr><td>{item['run']}</td><td>{html.escape(item['why'])}</td><td><code>{html.escape(item['replay'])}</code></td></tr>"
         for item in values["worst"]
     )
-    images = "".join(f'<h2>{html.escape(words)}</h2><img src="{file}" alt="{html.escape(words)}">' for file, words in pictures)
+    images = "".join(
+        f'<h2>{html.escape(words)}</h2><img src="{file}" alt="{html.escape(words)}">' for file, words in pictures
+    )
     return f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -144,7 +146,9 @@ def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[t
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     count = max(len(values["cells"]), 1)
-    groups = [([row for row in rows if row["run"] % count == k], cell["cell"]) for k, cell in enumerate(values["cells"])]
+    groups = [
+        ([row for row in rows if row["run"] % count == k], cell["cell"]) for k, cell in enumerate(values["cells"])
+    ]
     groups = groups or [(list(rows), "all")]
     out = []
     for file, heading, drawing in (

@@ -48,7 +48,7 @@ _WORDS_MAX = 2_000
 DISOBEDIENT = frozenset(
     {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift", "motor_failure", "reboot"}
 )
-"""Faults after which a vehicle cannot be steered to keep clear: it does not hear, does not know where it is, or falls."""
+"""Faults after which a vehicle cannot be steered to keep clear: it does not hear, does not know its place, or falls."""
 
 
 class _TooLongError(Exception):
@@ -171,9 +171,7 @@ class _Flown:
             writer = None
             if log is not None:
                 write_manifest(manifest_path(log), manifest)
-                writer = stack.enter_context(
-                    TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links)
-                )
+                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links))
             runner = Runner(plan, 0)
             try:
                 fly_virtual(
@@ -241,9 +239,7 @@ class _Flown:
         np.minimum(self._pair_m, pairs, out=self._pair_m)
         obedient = ~self._unsteered
         self._min_m = min(self._min_m, float(pairs.min()))
-        self._min_obedient_m = min(
-            self._min_obedient_m, float(pairs[np.ix_(obedient, obedient)].min(initial=math.inf))
-        )
+        self._min_obedient_m = min(self._min_obedient_m, float(pairs[np.ix_(obedient, obedient)].min(initial=math.inf)))
 
     def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:
         plan, figures, setting = self._plan, runner.figures, self._case.setting

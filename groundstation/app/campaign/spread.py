@@ -147,7 +147,9 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
         UserError: the scheduler does not answer, has no workers, or they run another version of this program.
     """
     import dask  # noqa: PLC0415 - takes half a second to load
-    from distributed import Client, LocalCluster  # noqa: PLC0415
+    import distributed  # noqa: PLC0415
+
+    package: Any = distributed  # its classes are not typed
 
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_QUIET))
@@ -159,7 +161,7 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
             for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
                 os.environ.setdefault(variable, "1")  # inherited by the workers
             try:
-                cluster = LocalCluster(
+                cluster = package.LocalCluster(
                     n_workers=workers or (1 if workers == 0 else os.cpu_count()),
                     threads_per_worker=1,
                     processes=workers != 0,
@@ -169,10 +171,10 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
             finally:
                 signal.signal(signal.SIGINT, before)
             stack.enter_context(cluster)
-            client = stack.enter_context(Client(cluster))
+            client = stack.enter_context(package.Client(cluster))
         else:
             try:
-                client = stack.enter_context(Client(address, timeout=10))
+                client = stack.enter_context(package.Client(address, timeout=10))
                 client.wait_for_workers(1, timeout=_PATIENCE_S)
             except (OSError, TimeoutError, ValueError) as error:
                 raise UserError(f"--scheduler {address}: {error or 'no worker'}; start one, or leave it out") from None

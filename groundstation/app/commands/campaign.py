@@ -14,7 +14,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Listing
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.report import write_summary
@@ -86,7 +86,16 @@ def campaign(
     _announce(out, varied, count, len(todo))
     interrupted = Interrupted()
     if todo:
-        _fly_all(out, cases, todo, table, interrupted, scheduler, workers, done=count - len(todo))
+        _fly_all(
+            out,
+            cases,
+            todo,
+            table,
+            interrupted=interrupted,
+            scheduler=scheduler,
+            workers=workers,
+            done=count - len(todo),
+        )
     rows = [row for row in table.merge() if row["run"] < count]
 
     def command(run: int) -> str:
@@ -121,7 +130,9 @@ def _mission(mission: Path | None, varied: Vary) -> Path:
 def _announce(out: Output, varied: Vary, count: int, todo: int) -> None:
     cells = len(varied.cells)
     each = f" over {cells} cells, {count / cells:.4g} each" if cells > 1 else ""
-    out.console.print(f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}")
+    out.console.print(
+        f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}"
+    )
     if count < cells:
         out.console.print(f"fewer runs than cells: the last {cells - count} cells are not flown")
 
@@ -131,10 +142,10 @@ def _fly_all(
     cases: Cases,
     todo: list[int],
     table: Table,
+    *,
     interrupted: Interrupted,
     scheduler: str | None,
     workers: int | None,
-    *,
     done: int,
 ) -> None:
     """Flies what is missing; whatever happens, rows that came back are in the table."""
