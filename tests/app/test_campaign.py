@@ -139,6 +139,25 @@ cli.main()
     assert len(first) > 1000
 
 
+def test_any_scheduler_by_its_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import distributed
+
+    monkeypatch.chdir(tmp_path)
+    _written(tmp_path / "vary.yaml", SHORT)
+    common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--runs", "3"]
+    package: Any = distributed
+    with package.LocalCluster(
+        1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as there:
+        code, _, _ = _gs([*common, "--scheduler", there.scheduler_address, "-o", "there"], monkeypatch, capsys)
+        assert code == 0
+    code, _, _ = _gs([*common, "--workers", "0", "-o", "here"], monkeypatch, capsys)
+    assert code == 0
+    assert (tmp_path / "there/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
+
+
 def test_starts_in_a_volume_end_where_they_began(tmp_path: Path) -> None:
     case = _case(tmp_path, TETRAHEDRON + "starts: {kind: volume}\nverify: true\n")
     pads = np.array([vehicle["pad_m"] for vehicle in case.mission["vehicles"]])

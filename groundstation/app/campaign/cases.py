@@ -25,7 +25,7 @@ from groundstation.mission.plan import MissionPlan, _override, load_mission, pla
 
 _ROOM_M = 1.0  # between the starts and the fence
 _SPARE_M = 0.01  # starts are that much further apart than the mission itself demands of pads
-_TRIES, _RESTARTS = 100, 100
+_TRIES, _RESTARTS = 100, 30
 _FAR_M = 50.0
 
 

@@ -94,7 +94,7 @@ class Table:
         """
         try:
             self._parts.mkdir(parents=True, exist_ok=True)
-            if self._identity_path.exists():
+            if self._identity_path.exists() and (self.runs_path.exists() or self._part_paths()):
                 self._check(identity, resume=resume)
             self._replace(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
         except OSError as error:
