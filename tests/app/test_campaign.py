@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from groundstation.app import cli
 from groundstation.app.campaign.cases import Case, Cases, scattered
+from groundstation.app.campaign.report import to_markdown
 from groundstation.app.campaign.run import emulated, fly_case, lost_row
 from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
 from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
@@ -378,3 +379,8 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     bars = ExpectSpec(success_rate=0.5, below_r=0, safe_rate=0.9)
     assert missed(values, bars) == ["safe_rate is 0.5, expected 0.9 at least", "below_r is 1, expected 0 at most"]
     assert missed(figures([good]), bars) == []
+    struck = [{**good, "faults": "reboot", "fault_phase": phase, "told": True} for phase in ("form", "land", "land")]
+    struck[2]["safe"] = False
+    values = summarise(struck, [""], lambda run: f"again {run}")
+    assert values["matrix"] == {"reboot": {"form": [1, 1], "land": [1, 2]}}
+    assert "| reboot | 1 of 1 | 1 of 2 |" in to_markdown(values)

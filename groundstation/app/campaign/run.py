@@ -341,10 +341,11 @@ def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
     link = emulator.link.config()
     if link != config.uplink:
         config = replace(config, uplink=link, downlink=link)
-    try:
-        World(config, case.seed)
-    except FaultError as error:
-        raise UserError(str(error)) from None
+    if config.faults:
+        try:
+            World(config, case.seed)
+        except FaultError as error:
+            raise UserError(str(error)) from None
     return config
 
 
