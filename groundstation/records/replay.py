@@ -7,8 +7,8 @@ the mission object again (that needs more than a log) and draws nothing.
 
 from __future__ import annotations
 
-import itertools
 import contextlib
+import itertools
 import re
 import reprlib
 from collections.abc import Mapping, Sequence
@@ -386,7 +386,7 @@ def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, An
             raise UserError(f"{path}: manifest: mission.vehicles[{index}]: no usable id; the manifest is damaged")
     for index, shape in enumerate(mission.get("shapes") or ()):
         if not isinstance(shape, Mapping) or type(shape.get("step")) is not int:
-            raise UserError(f"{path}: manifest: mission.shapes[{index}]: no step and formation; the manifest is damaged")
+            raise UserError(f"{path}: manifest: mission.shapes[{index}]: has no step; the manifest is damaged")
     for index, origin in enumerate(result.get("local_origins_enu_m") or ()):
         if not isinstance(origin, list | None):
             raise UserError(

@@ -490,7 +490,7 @@ class Discover(Target):
             self._discovery.receive(link, str(self.random.randrange(2000)), data, self._now_ns)
         self._discovery.outgoing(self._now_ns)
         self._discovery.doubles(self._now_ns)
-        self._discovery.block()
+        self._discovery.block(self._now_ns)
         if len(self._discovery.found) > 30:
             self._discovery = Discovery([parse_address("udpin://0.0.0.0:1"), parse_address("tcpin://0.0.0.0:1")])
 
