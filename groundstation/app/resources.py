@@ -31,5 +31,6 @@ def find_config(path: Path, folder: str) -> Path:
     packaged = packaged_configs() / folder / path
     if not path.is_absolute() and is_file(packaged):
         return packaged
-    have = ", ".join(sorted(item.name for item in (packaged_configs() / folder).glob(f"*{path.suffix or '.yaml'}")))
+    known = (item for item in (packaged_configs() / folder).iterdir() if item.suffix == (path.suffix or ".yaml"))
+    have = ", ".join(sorted(item.name for item in known))
     raise UserError(f"{path}: no such file; name one that exists, or one of those that come along: {have}")
