@@ -21,6 +21,7 @@ from groundstation.app.campaign.cases import Case
 from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
+from groundstation.app.signing import open_gate
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from groundstation.core.types import BoolArray
@@ -169,13 +170,15 @@ class _Flown:
             if setting.verify and log is None:
                 log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.tlog"
             writer = None
+            gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
             if log is not None:
                 write_manifest(manifest_path(log), manifest)
-                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links))
-            runner = Runner(plan, 0)
+                streams = plan.stream_links if gate is None else ()
+                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=streams))
+            runner = Runner(plan, 0, whole_frames=gate is not None)
             try:
                 fly_virtual(
-                    Session(runner, writer),
+                    Session(runner, writer, gate),
                     self._world,
                     period_ns=round(_SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
