@@ -63,9 +63,9 @@ def _in(phase: Phase, for_s: float = 0.0) -> Callable[[Flight], bool]:
 
 
 def _holds(world: World) -> None:
-    """PX4 holds when setpoints stop, as it is set before takeoff."""
+    """Whoever loses the ground station holds for as long as the test lasts."""
     for pilot in world.autopilots:
-        for name, value in (("COM_OBL_RC_ACT", 5), ("COM_OF_LOSS_T", 0.3), ("GUID_TIMEOUT", 0.3)):
+        for name, value in (("COM_OBL_RC_ACT", 5), ("NAV_DLL_ACT", 1), ("FS_GCS_ENABLE", 0)):
             if name in pilot.params:
                 pilot.params.set_value(name, value)
 
