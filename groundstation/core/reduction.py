@@ -5,7 +5,7 @@ stand. Instead the missing agent is kept in the mathematics as if it followed th
 to its neighbours: with A split into those that are left (r) and those that are gone (g), the gains become
 A_rr - A_rg A_gg^-1 A_gr, the Schur complement. It inherits what matters: zero row sums, the desired formation in the
 kernel, and eigenvalues <= 0, so that Theorem 1 holds for the team that is left. Neighbours of a missing agent become
-neighbours of each other. Refuses to reduce where A_gg is singular.
+neighbours of each other. Refuses teams of fewer than two.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from groundstation.core.control import Task, task_for_roles
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import BoolArray, ComplexArray, IntArray
 
-_CONDITION_MAX = 1e9
+_RELATIVE_ZERO = 1e-5  # eigenvalues below, relative to the largest, are zeros that the design rounded
 
 
 def without_roles(formation: Formation, gains: Gains, gone: BoolArray) -> tuple[Formation, Gains, IntArray]:
@@ -31,7 +31,7 @@ def without_roles(formation: Formation, gains: Gains, gone: BoolArray) -> tuple[
         Formation and gains of the m roles that are left, and which these are, shape (m,).
 
     Raises:
-        ValueError: fewer than two are left, or the gains cannot be reduced.
+        ValueError: fewer than two are left.
     """
     left = np.flatnonzero(~gone)
     if len(left) < 2:
@@ -51,13 +51,11 @@ def without_roles(formation: Formation, gains: Gains, gone: BoolArray) -> tuple[
 def _schur(full: ComplexArray, gone: BoolArray) -> ComplexArray:
     """A_rr - A_rg A_gg^-1 A_gr."""
     left = ~gone
-    inner = full[np.ix_(gone, gone)]
-    if np.linalg.cond(inner) > _CONDITION_MAX:
-        raise ValueError(
-            f"gains of roles {(np.flatnonzero(gone) + 1).tolist()} cannot be taken out: they hang on nobody"
-        )
-    solved = np.linalg.solve(inner, full[np.ix_(gone, left)])
-    return np.asarray(full[np.ix_(left, left)] - full[np.ix_(left, gone)] @ solved, dtype=np.complex128)
+    # Where those that are left have one height, A_gg of the heights is singular: the pseudo-inverse is right there too.
+    inverse = np.linalg.pinv(full[np.ix_(gone, gone)], rcond=_RELATIVE_ZERO, hermitian=True)
+    return np.asarray(
+        full[np.ix_(left, left)] - full[np.ix_(left, gone)] @ inverse @ full[np.ix_(gone, left)], dtype=np.complex128
+    )
 
 
 def task_for_those_left(

@@ -16,7 +16,7 @@ from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.guidance import Poses
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Reaction, Sight, Watch
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
-from groundstation.mission.monitors.positions import Frames, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.vehicles import Battery, Heartbeats, Modes
 from groundstation.mission.plan import MissionPlan
 
@@ -53,8 +53,8 @@ class Monitor:
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self._modes, self._following = Modes(plan), Following(plan)
         self._watches: tuple[Watch, ...] = (
-            self._jumps, LinkSilence(plan), self._ages, Heartbeats(plan), Battery(plan), BeyondFence(plan),
-            self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
+            self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
+            BeyondFence(plan), self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._gone: BoolArray = np.zeros(n, dtype=np.bool_)

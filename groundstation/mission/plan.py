@@ -145,8 +145,14 @@ class MissionPlan:
 
     @property
     def pose_jump_m(self) -> float:
-        """How far a vehicle's positions may move otherwise than its velocities say."""
-        return self.spec.limits.pose_jump_m or 0.5 + self.margin_m
+        """How far a vehicle's positions may move otherwise than its velocities say.
+
+        Half of r, so that a drift is found before it takes away what keeps vehicles apart; what two positions may be
+        off; and what 0.2 s of badly known time make of the speed.
+        """
+        spec = self.spec
+        automatic = min(0.5, 0.5 * spec.avoidance.radius_m) + self.margin_m + 0.2 * spec.speed_limit_m_s
+        return spec.limits.pose_jump_m or automatic
 
     @property
     def tracking_m_s(self) -> float:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import copyreg
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import cast
@@ -20,10 +22,12 @@ from sitl.world import World
 from tests.app.flights import SECOND_NS, Flight, Tamper, cube8, pair
 
 PERIOD_NS = 20_000_000
+copyreg.pickle(struct.Struct, lambda shape: (struct.Struct, (shape.format,)))  # so that flights can be copied
 DONE = "."  # obeyed, no change of phase
 # What an order leads to: a phase, . for no change, x for a refusal. Columns: hold resume return land kill silence.
 LEADS_TO = {
     Phase.CONNECT: "done x done done silent silent",
+    Phase.TAKEOVER: "x x x x . silent",
     Phase.ARM: "land x land land land silent",
     Phase.TAKEOFF: "pause x stop land return silent",
     Phase.FORM: "pause x stop land return silent",
@@ -41,8 +45,8 @@ LINES = ("hold", "resume", "return", "land all", "kill 2", "silence")
 class Stepped:
     """A flight that is stepped by hand and can be copied at any moment."""
 
-    def __init__(self, plan: MissionPlan) -> None:
-        self.world, self.runner = World(world_config(plan, 1), 1), Runner(plan, 0)
+    def __init__(self, plan: MissionPlan, *, take_over: bool = False) -> None:
+        self.world, self.runner = World(world_config(plan, 1), 1), Runner(plan, 0, take_over=take_over)
         self.now_ns, self._begin_ns = 0, self.world.now_ns
         self.notes: list[Note] = []
 
@@ -88,6 +92,8 @@ def moments() -> dict[Phase, Stepped]:
         Phase.DONE,
     ):
         reach(flight, phase)
+    kept[Phase.TAKEOVER] = Stepped(flight.runner.plan, take_over=True)
+    kept[Phase.TAKEOVER].step(2)
     for line, phase in (("return", Phase.STOP), ("hold", Phase.PAUSE), ("silence", Phase.SILENT)):
         branch = copy.deepcopy(kept[Phase.HOLD])
         branch.runner.operator(line)
@@ -95,7 +101,7 @@ def moments() -> dict[Phase, Stepped]:
     return kept
 
 
-@pytest.mark.parametrize("phase", list(Phase), ids=lambda phase: phase.value)
+@pytest.mark.parametrize("phase", list(LEADS_TO), ids=lambda phase: phase.value)
 @pytest.mark.parametrize("line", LINES)
 def test_every_order_in_every_phase(moments: dict[Phase, Stepped], phase: Phase, line: str) -> None:
     expected = LEADS_TO[phase].split()[LINES.index(line)]

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core.limits import Fence
-from groundstation.core.metrics import pair_distances_m
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan import MissionPlan
@@ -79,22 +79,28 @@ class Following:
 
 
 class Distance:
-    """Two vehicles nearer to each other than r, by their own reports."""
+    """Two vehicles nearer to each other than r, or in each other's safety region, by their own reports."""
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
-        self._radius_m = plan.spec.avoidance.radius_m
+        self._region, self._radius_m = plan.region, plan.spec.avoidance.radius_m
         self._first, self._second = np.triu_indices(n, 1)
         self._lasting = Lasting(len(self._first), _BESIDE_S)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back: what has kept them apart has failed."""
-        apart_m = pair_distances_m(sight.pos_team_ned_m)[self._first, self._second]
+        offsets = sight.pos_team_ned_m[self._second] - sight.pos_team_ned_m[self._first]
+        apart = self._region.clearance(offsets)
         counts = sight.airborne & ours & ~sight.excused & ~sight.blind
-        near = (apart_m < self._radius_m) & counts[self._first] & counts[self._second]
+        near = (apart < 1.0) & counts[self._first] & counts[self._second]
         for pair in self._lasting(near, sight.now_ns):
             ids = sight.fleet.sysid[[self._first[pair], self._second[pair]]]
-            what = f"vehicles {ids[0]} and {ids[1]}: {apart_m[pair]:.2f} m apart, minimum is {self._radius_m:g} m"
+            apart_m = float(np.linalg.norm(offsets[pair]))
+            what = f"vehicles {ids[0]} and {ids[1]}: {apart_m:.2f} m apart, "
+            if isinstance(self._region, SafetySphere):
+                what += f"minimum is {self._radius_m:g} m"
+            else:
+                what += f"{apart[pair]:.0%} of what their safety region asks for"
             yield Finding(Reaction.ALL_HOME, what)
 
 

@@ -20,6 +20,8 @@ from groundstation.mission.plan import MissionPlan
 _FORGETS_S = 3.0
 _SUSPECT_S = 0.3
 _TILTED_S = 0.3
+_FROZEN_S, _FROZEN_REPORTS = 1.5, 5
+_GAP_S, _GAP_MAX_S = 0.15, 5.0
 _REACH_S = 0.5  # no longer than this is a trusted position carried on by its velocity
 _LINK_SHARE = 0.8  # of pose_lost_s: a link that is silent is told before its vehicles are, one by one
 
@@ -36,37 +38,43 @@ class PoseJump:
         n = plan.size
         self._limit_m, self._accel_m_s2 = plan.pose_jump_m, plan.profile.acceleration_max_m_s2
         self._apart_m: FloatArray = np.zeros((n, 3))
+        # Of the last report that was believed; a suspect one changes none of it, however absurd.
         self._pos: FloatArray = np.full((n, 3), np.nan)
-        self._vel: FloatArray = np.full((n, 3), np.nan)
+        self._vel: FloatArray = np.zeros((n, 3))
+        self._at_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._pose_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
-        self._last_ns = NEVER
         self._since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
-        self._trusted: FloatArray = np.full((n, 3), np.nan)
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self.suspect: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._away_m: FloatArray = np.zeros(n)
 
     def take(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
         """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones."""
-        if self._last_ns != NEVER:
-            passed_s = (now_ns - self._last_ns) / SECOND_NS
-            moved = poses.pos_team_ned_m - self._pos - 0.5 * (self._vel + poses.vel_ned_m_s) * passed_s
-            self._apart_m = self._apart_m * np.exp(-passed_s / _FORGETS_S) + moved
-            # Over a gap in the reports the velocity may have changed unseen.
-            gap_s = np.clip((pose_ns - self._pose_ns) / SECOND_NS, 0.0, 5.0)
-            limit_m = self._limit_m + 0.5 * self._accel_m_s2 * np.where(gap_s > 2.0 * passed_s, gap_s, 0.0) ** 2
-            away = np.linalg.norm(self._apart_m, axis=1) > limit_m
-            begins = away & ~self.suspect
-            self._trusted[begins] = self._pos[begins] + _REACH_S * 0.5 * self._vel[begins]
-            self._since_ns[begins] = now_ns
-            self.suspect = (away | self._told) & np.isfinite(self._trusted).all(axis=1)
-        self._last_ns, self._pos, self._vel = now_ns, poses.pos_team_ned_m, poses.vel_ned_m_s
+        new = self._at_ns == NEVER
+        passed_s = np.where(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
+        moved = poses.pos_team_ned_m - self._pos - 0.5 * (self._vel + poses.vel_ned_m_s) * passed_s
+        apart_m = self._apart_m * np.exp(-passed_s / _FORGETS_S) + np.where(new[:, None], 0.0, moved)
+        # Over a gap in the reports the velocity may have changed unseen.
+        gap_s = np.where(new, 0.0, (pose_ns - self._pose_ns) / SECOND_NS)
+        gap_s = np.where(gap_s > _GAP_S, np.minimum(gap_s, _GAP_MAX_S), 0.0)
+        away_m = np.linalg.norm(apart_m, axis=1)
+        away = ~(away_m <= self._limit_m + 0.5 * self._accel_m_s2 * gap_s**2)
+        self._since_ns = np.where(away & ~self.suspect, now_ns, self._since_ns)
+        self.suspect = away | self._told
         self._pose_ns = pose_ns
-        if not self.suspect.any():
+        believed = ~self.suspect
+        self._apart_m[believed] = np.where((gap_s > 0.0)[:, None], 0.0, apart_m)[believed]
+        self._pos[believed], self._vel[believed] = poses.pos_team_ned_m[believed], poses.vel_ned_m_s[believed]
+        self._at_ns[believed] = now_ns
+        self._away_m = away_m
+        if believed.all():
             return poses
+        # It was told to stand still, and carries on for a moment.
+        carried = self._pos + self._vel * np.minimum(passed_s, _REACH_S)
         rows = self.suspect[:, None]
         return replace(
             poses,
-            pos_team_ned_m=np.where(rows, self._trusted, poses.pos_team_ned_m),
+            pos_team_ned_m=np.where(rows, carried, poses.pos_team_ned_m),
             vel_ned_m_s=np.where(rows, 0.0, poses.vel_ned_m_s),
         )
 
@@ -75,8 +83,8 @@ class PoseJump:
         lasts = self.suspect & (sight.now_ns - self._since_ns >= _SUSPECT_S * SECOND_NS) & ~self._told
         for vehicle in np.flatnonzero(lasts & ours & ~sight.excused).tolist():
             self._told[vehicle] = True
-            apart_m = float(np.linalg.norm(self._apart_m[vehicle]))
-            what = f"its position is {apart_m:.2f} m from where its velocity leads, limit {self._limit_m:.2g} m"
+            away_m = self._away_m[vehicle]
+            what = f"its position is {away_m:.2f} m from where its velocity leads, limit {self._limit_m:.2g} m"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 
 
@@ -121,6 +129,29 @@ class PoseAge:
         lost = (age_ns > self._limits.pose_lost_s * SECOND_NS) & ours & ~sight.excused
         for vehicle in self._lost(lost, sight.now_ns):
             yield Finding(Reaction.LAND, f"no position for {self._limits.pose_lost_s:g} s", (vehicle,), lost=True)
+
+
+class Frozen:
+    """Positions that arrive and never change by a bit, as no estimate of a flying vehicle does."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        n = plan.size
+        self._local: BoolArray = np.array([vehicle.position == "local" for vehicle in plan.spec.vehicles])
+        self._pos: FloatArray = np.full((n, 3), np.nan)
+        self._pose_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._reports: IntArray = np.zeros(n, dtype=np.int64)
+        self._lasting = Lasting(n, _FROZEN_S)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Lands those whose position stands still to the last bit."""
+        fleet = sight.fleet
+        same = (fleet.pos_local_ned_m == self._pos).all(axis=1)
+        self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
+        self._pos, self._pose_ns = fleet.pos_local_ned_m.copy(), fleet.pose_ns.copy()
+        frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours & ~sight.excused
+        for vehicle in self._lasting(frozen, sight.now_ns):
+            what = f"its position has not changed by a bit in {_FROZEN_S:g} s"
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 
 
 class Frames:
