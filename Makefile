@@ -31,7 +31,7 @@ test: $(STAMP)
 	$(BIN)/lint-imports
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS)
 
-# Random bytes, and real input bent out of shape, through everything that reads bytes from outside; about ten minutes.
+# Random bytes, and real input bent out of shape, through everything that reads bytes from outside; about half an hour.
 FUZZ_BYTES ?= 10000000
 FUZZ_SEED ?= 1
 fuzz: $(STAMP)

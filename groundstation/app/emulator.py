@@ -155,16 +155,18 @@ def _ports(plan: MissionPlan) -> tuple[list[int], int | None]:
 
 
 class TruthMeter:
-    """Measures the true formation error while the formation is held, and how near to safety regions anybody came.
+    """Measures the true formation error while the formation is held and moved, and how near to regions anybody came.
 
     Attributes:
         formation_error_m: largest true |d_ij - d*_ij| over all pairs and all ticks of all holds; NaN before.
+        move_error_m: the same of all moves.
         min_clearance: smallest true clearance between two vehicles in the air, in the norm of the safety region: at any
             time for a sphere, at any tick for others; infinite before.
     """
 
     def __init__(self, world: World) -> None:
         self.formation_error_m = float("nan")
+        self.move_error_m = float("nan")
         self.min_clearance = float("inf")
         self._world = world
 
@@ -188,3 +190,6 @@ class TruthMeter:
         if runner.phase is Phase.HOLD:
             error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))
+        elif runner.phase is Phase.MOVE:
+            error = runner.formation_error_m(self._world.truth.pos_enu_m)
+            self.move_error_m = float(np.fmax(self.move_error_m, error))

@@ -164,7 +164,7 @@ def fly_and(
             now_ns = world.now_ns
             if "deed" not in times and watched.flying_s >= 0.0 and when(watched):
                 deed(watched)
-                times["deed"] = now_ns
+                times["deed"], times["late"] = now_ns, server.late_ns
             if "deed" in times and then is not None:
                 then(watched)
             if process.poll() is not None:
@@ -190,7 +190,7 @@ def fly_and(
             take_over_code = successor.poll()
         exit_code = process.poll()
     deed_ns = times.get("deed", world.now_ns)
-    killed_unix_us = world.config.unix_start_us + (deed_ns - world.config.start_ns + server.late_ns) // 1000
+    killed_unix_us = world.config.unix_start_us + (deed_ns - world.config.start_ns + times.get("late", 0)) // 1000
     return KilledFlight(
         after_s=watched.flying_s - (world.now_ns - deed_ns) / _SECOND_NS,
         modes=modes,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import groundstation
 from groundstation.core.errors import UserError
+from groundstation.core.files import is_file
 
 
 def packaged_configs() -> Path:
@@ -25,10 +26,11 @@ def find_config(path: Path, folder: str) -> Path:
     Raises:
         UserError: it is in neither place.
     """
-    if path.is_file():
+    if is_file(path):
         return path
     packaged = packaged_configs() / folder / path
-    if not path.is_absolute() and packaged.is_file():
+    if not path.is_absolute() and is_file(packaged):
         return packaged
-    have = ", ".join(sorted(item.name for item in (packaged_configs() / folder).glob(f"*{path.suffix or '.yaml'}")))
+    known = (item for item in (packaged_configs() / folder).iterdir() if item.suffix == (path.suffix or ".yaml"))
+    have = ", ".join(sorted(item.name for item in known))
     raise UserError(f"{path}: no such file; name one that exists, or one of those that come along: {have}")

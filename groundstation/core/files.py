@@ -74,6 +74,14 @@ def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
     return known[id(node)]
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; not for names that are too long, or hold what no name can hold."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Reads a YAML file whose top level is a mapping.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import reprlib
 import struct
 import zipfile
 import zlib
@@ -29,6 +30,8 @@ from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certi
 from groundstation.design.problem import SPECTRAL_NORM, Matrix
 
 FILE_VERSION = 1
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = 200
 _MEMBERS_MAX = 32
 _BYTES_MAX = 1 << 28  # unpacked; a thousand agents need 48 MB
 CLAIM_TOLERANCE = 1e-6
@@ -55,8 +58,9 @@ def _no_bool(value: object) -> object:
     return value
 
 
-Number = Annotated[FiniteFloat, BeforeValidator(_no_bool)]
-Positive = Annotated[FiniteFloat, BeforeValidator(_no_bool), Field(gt=0)]
+# Beyond a million kilometres nothing flies, and products of what is read stay numbers.
+Number = Annotated[FiniteFloat, BeforeValidator(_no_bool), Field(ge=-1e9, le=1e9)]
+Positive = Annotated[FiniteFloat, BeforeValidator(_no_bool), Field(gt=0, le=1e9)]
 Agent = Annotated[int, Field(strict=True, ge=1)]
 
 
@@ -76,7 +80,9 @@ class FormationFile(BaseModel):
 
     name: Annotated[str, Field(strict=True, min_length=1)]
     scale: Positive = 1.0
-    points: Annotated[list[Annotated[list[Number], Field(min_length=3, max_length=3)]], Field(min_length=1)]
+    points: Annotated[
+        list[Annotated[list[Number], Field(min_length=3, max_length=3)]], Field(min_length=1, max_length=2_000)
+    ]
     edges: Literal["complete"] | list[Annotated[list[Agent], Field(min_length=2, max_length=2)]]
     avoidance_radius_m: Positive | None = None
     avoidance_activation_m: Positive | None = None
@@ -131,8 +137,8 @@ def _first_error(error: ValidationError) -> str:
     if finding["type"] == "missing":
         return f"{key}: missing"
     if key == "edges":
-        return f"edges: {finding['input']!r} is neither a list of pairs [i, j] nor the word complete"
-    return f"{key}: {finding['msg'][:1].lower()}{finding['msg'][1:]}, found {finding['input']!r}"
+        return f"edges: {reprlib.repr(finding['input'])} is neither a list of pairs [i, j] nor the word complete"
+    return f"{key}: {finding['msg'][:1].lower()}{finding['msg'][1:]}, found {_short.repr(finding['input'])}"
 
 
 def _check_edges(path: Path, file: FormationFile) -> None:

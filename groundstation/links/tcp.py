@@ -225,6 +225,7 @@ class TcpServerLink:
 def _resolve(address: LinkAddress) -> tuple[int, tuple[str, int]]:
     try:
         family, _, _, _, where = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise UserError(f"link {address.url}: no such host: {error.strerror or error}; correct the address") from None
+    except (OSError, ValueError) as error:  # ValueError: what no name of a host can be
+        reason = getattr(error, "strerror", None) or error
+        raise UserError(f"link {address.url}: no such host: {reason}; correct the address") from None
     return family, (str(where[0]), int(where[1]))

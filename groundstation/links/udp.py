@@ -108,12 +108,12 @@ def open_udp(url: str) -> UdpLink:
         item.setblocking(False)
         item.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
         item.bind((address.host, address.port) if listens else ("", 0))
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: what no name of a host can be
         if item is not None:
             item.close()
         what = "cannot listen" if listens else "cannot be reached"
         remedy = "is another ground station using the port?" if listens else "correct the address"
-        raise UserError(f"link {url}: {what}: {error.strerror or error}; {remedy}") from None
+        raise UserError(f"link {url}: {what}: {getattr(error, 'strerror', None) or error}; {remedy}") from None
     link = UdpLink(url, item)
     if not listens:
         host, port = str(there[0]), int(there[1])

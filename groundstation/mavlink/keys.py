@@ -42,6 +42,8 @@ def read_key(path: Path) -> SecretKey:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         raise UserError(f"{path}: no such key file; make one with: gs signing new {path}") from None
+    except ValueError:
+        raise UserError(f"{str(path)!r}: is no name of a file; correct key_file") from None
     except OSError as error:
         if error.errno == errno.ELOOP:
             raise UserError(f"{path}: is a symbolic link; name the key file itself, {path.resolve()}") from None

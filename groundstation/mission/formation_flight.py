@@ -243,6 +243,7 @@ class FormationFlight:
         course = Course(
             stage=self.stage,
             control_gain=self._control_gain(),
+            members=~self.gone,
             points_by_agent_m=self.formation.points_enu_m[self.role_of_agent],
             detour_enu_m_s=self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s)) if forming else None,
             motion=motion,
@@ -251,7 +252,7 @@ class FormationFlight:
         guidance = self._guide.formation(poses, self._sized_task(self._task), course)
         self._room = guidance.room
         if forming:
-            self._get_out(guidance.sensed, absent, course=course)
+            self._get_out(guidance.sensed, absent | self.gone, course=course)
         return FormationTick(guidance.vel_ned_m_s, enter, give_up)
 
     def fly_home(self, poses: Poses, absent: BoolArray, target_ned_m: FloatArray) -> FloatArray:
@@ -304,7 +305,8 @@ class FormationFlight:
         swaps = course is not None and course.stage.swaps
         if course is not None:
             free = course.stage.scale.kind == "free"
-            places = own_places(sensed.rel_m, sensed.visible, course.points_by_agent_m, free_scale=free)
+            seen = sensed.visible & ~self.gone[None]
+            places = own_places(sensed.rel_m, seen, course.points_by_agent_m, free_scale=free)
             to_goal_enu_m = places.to_own_m
             pairs = locks.swaps(sensed, places, ~absent) if swaps else []
             if pairs:

@@ -7,8 +7,10 @@ agent's own view. Keeps no state but the last setpoints, whose slope is limited.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.core import frames
 from groundstation.core.avoidance import avoid
@@ -24,6 +26,8 @@ from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.profiles import approach_rate_1_s
 from groundstation.mission.stages import Stage
+
+_T = TypeVar("_T", bound=np.generic)
 
 _NOBODY: FloatArray = np.zeros(0)
 """Stands for zeros of whatever size is right."""
@@ -88,6 +92,7 @@ class Course:
         detour_enu_m_s: what agents on a detour wish instead of their law, NaN for all others, shape (n, 3).
         motion: what the formation does as one; None at rest.
         present: the part of it that shows in velocities already.
+        members: agents that fly the formation, shape (n,); None for all.
     """
 
     stage: Stage
@@ -96,6 +101,7 @@ class Course:
     detour_enu_m_s: FloatArray | None = None
     motion: Motion | None = None
     present: Motion | None = None
+    members: BoolArray | None = None
 
 
 class Guide:
@@ -141,8 +147,8 @@ class Guide:
 
     @property
     def keep_out_m(self) -> float:
-        """Distance that agents keep from each other, margin included."""
-        return self._damper.radius_m + self._damper.margin_m
+        """Distance that agents keep from each other in any direction, margin included."""
+        return self._region.reach_m(0.0)
 
     @property
     def settle_s(self) -> float:
@@ -173,13 +179,15 @@ class Guide:
         if motion is not None:
             grown = motion.growth_1_s * places.from_centre_m
             wish = wish + _flu_from_enu(poses, grown)
+        who = None
         if self._plan.size >= _MANY:
-            views = self._near_views(poses)
+            views, who = self._near_views(poses)
         return self._finish(
             poses,
             views,
             wish,
             self._formation_box,
+            who=who,
             detour_enu_m_s=course.detour_enu_m_s,
             common_enu_m_s=common_enu,
         )
@@ -188,7 +196,8 @@ class Guide:
         """What each agent makes of its view, in its own level axes."""
         rel_enu_m = _enu_from_flu(poses, views.rel_pos_flu_m)
         free = course.stage.scale.kind == "free"
-        return own_places(rel_enu_m, views.visible, course.points_by_agent_m, free_scale=free)
+        seen = views.visible if course.members is None else views.visible & course.members[None]
+        return own_places(rel_enu_m, seen, course.points_by_agent_m, free_scale=free)
 
     def _without(self, poses: Poses, views: LocalViews, motion: Motion) -> LocalViews:
         """Views without the common motion in relative velocities: the lead of the law is for what is not wanted."""
@@ -201,14 +210,15 @@ class Guide:
         self, poses: Poses, target_team_ned_m: FloatArray, detour_enu_m_s: FloatArray | None = None
     ) -> Setpoints:
         """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground."""
+        who = None
         if self._plan.size >= _MANY:
-            views = self._near_views(poses)
+            views, who = self._near_views(poses)
         else:
             views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
         wish = self._target_rate_1_s * frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned)
-        return self._finish(poses, views, wish, self._fence, detour_enu_m_s=detour_enu_m_s)
+        return self._finish(poses, views, wish, self._fence, who=who, detour_enu_m_s=detour_enu_m_s)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
         """What each agent sees: its neighbours, and whoever is near enough to hit."""
@@ -218,8 +228,8 @@ class Guide:
         views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
         return self._with_obstacles(poses, views, everybody, offset_ned, under)
 
-    def _near_views(self, poses: Poses) -> LocalViews:
-        """What each agent of a large team sees that is near enough to hit: a column for each of those, and no other."""
+    def _near_views(self, poses: Poses) -> tuple[LocalViews, IntArray]:
+        """What each agent of a large team sees that is near enough to hit, a column for each, and who that is."""
         special = np.flatnonzero(poses.sinking | (poses.extra_radius_m > 0.0))
         others = None
         if special.size:
@@ -232,7 +242,7 @@ class Guide:
             poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, self._reach_m, others=others
         )
         offset_ned, under = self._shown(poses, near.who)
-        return self._with_obstacles(poses, near.views, near.who, offset_ned, under)
+        return self._with_obstacles(poses, near.views, near.who, offset_ned, under), near.who
 
     def _shown(self, poses: Poses, who: IntArray) -> tuple[FloatArray, BoolArray]:
         """Where others are taken to be, from each agent: offsets NED (n, k, 3) to ``who`` (n, k), and whom that moves.
@@ -277,6 +287,15 @@ class Guide:
         farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
         return self._reach_m + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
 
+    def _everybody(self, columns: NDArray[_T], visible: BoolArray, who: IntArray | None) -> NDArray[_T]:
+        """Columns of those who are near as columns of everybody; as they are where they are that already."""
+        if who is None:
+            return columns
+        full = np.zeros((self._plan.size, self._plan.size, *columns.shape[2:]), dtype=columns.dtype)
+        rows, places = np.nonzero(visible)
+        full[rows, who[rows, places]] = columns[rows, places]
+        return full
+
     def _finish(
         self,
         poses: Poses,
@@ -284,6 +303,7 @@ class Guide:
         wish_flu_m_s: FloatArray,
         box: Fence,
         *,
+        who: IntArray | None = None,
         detour_enu_m_s: FloatArray | None = None,
         common_enu_m_s: FloatArray | None = None,
     ) -> Setpoints:
@@ -322,14 +342,14 @@ class Guide:
             fence_rate_1_s=self._approach_rate_1_s,
         )
         self._previous_ned_m_s = vel_ned_m_s
-        corners = [frames.enu_from_ned(np.asarray(c)) for c in (box.min_team_ned_m, box.max_team_ned_m)]
+        corners = [frames.enu_from_ned(corner) for corner in (box.min_team_ned_m, box.max_team_ned_m)]
         pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
         sensed = Sensed(
-            rel_m=_enu_from_flu(poses, views.rel_pos_flu_m),
-            visible=views.visible,
+            rel_m=self._everybody(_enu_from_flu(poses, views.rel_pos_flu_m), views.visible, who),
+            visible=self._everybody(views.visible, views.visible, who),
             vel_m_s=frames.enu_from_ned(poses.vel_ned_m_s),
             wish_m_s=_enu_from_flu(poses, wish_flu_m_s),
-            in_the_way=avoided.in_the_way | damped.in_the_way,
+            in_the_way=self._everybody(avoided.in_the_way | damped.in_the_way, views.visible, who),
             low_m=np.minimum(*corners) - pos_enu_m,
             high_m=np.maximum(*corners) - pos_enu_m,
         )

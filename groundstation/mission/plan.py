@@ -17,7 +17,7 @@ import numpy as np
 
 from groundstation.core.control import ScaleFunction
 from groundstation.core.errors import UserError
-from groundstation.core.files import parse_yaml_value, read_yaml, validate
+from groundstation.core.files import is_file, parse_yaml_value, read_yaml, validate
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
 from groundstation.core.regions import SafetyRegion, UprightRegion, build_region
@@ -523,7 +523,7 @@ def _override(values: dict[str, Any], override: str) -> None:
         where = ".".join([*parents, last][: number + 1])
         step: str | int = key
         if isinstance(place, list):
-            if not key.isdigit() or int(key) >= len(place):
+            if not (key.isascii() and key.isdigit() and len(key) < 10) or int(key) >= len(place):
                 raise UserError(f"--set {override}: {where}: expected a number from 0 to {len(place) - 1}")
             step = int(key)
         elif not isinstance(place, dict):
@@ -540,7 +540,7 @@ def _relative(mission: Path, name: str, key: str) -> Path:
     path = Path(name)
     if not path.is_absolute():
         path = mission.parent / path
-    if not path.is_file():
+    if not is_file(path):
         raise UserError(f"{mission}: {key}: {name}: no such file (looked for {path}); correct the path")
     return path
 

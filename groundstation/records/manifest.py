@@ -8,7 +8,6 @@ manifests. Does not interpret the mission: that is a plain mapping here.
 from __future__ import annotations
 
 import base64
-import binascii
 import contextlib
 import hashlib
 import json
@@ -149,7 +148,7 @@ def read_manifest(path: Path) -> Manifest:
     encoded = _expect(path, values, "gains_npz_base64", str, type(None))
     try:
         gains = None if encoded is None else base64.b64decode(encoded, validate=True)
-    except binascii.Error as error:
+    except ValueError as error:  # binascii.Error is one
         raise UserError(f"{path}: gains_npz_base64: {error}; the manifest is damaged") from error
     manifest = Manifest(
         mission=_expect(path, values, "mission", dict),

@@ -7,6 +7,7 @@ the mission object again (that needs more than a log) and draws nothing.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import re
 import reprlib
@@ -24,7 +25,7 @@ from groundstation.records.manifest import Manifest, manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
 from groundstation.records.tlog import TlogReader, read_tlog
 
-_FORMATION_EVENT = re.compile(r"info: formation of step (\d+): .+, scale (changing|free|[0-9.e+-]+)$")
+_FORMATION_EVENT = re.compile(r"info: formation of step (\d{1,6}): .+, scale (changing|free|[0-9.e+-]+)$")
 """Tells from which step the formation is from then on, and by how much it has grown since."""
 
 MAX_GAP_NS = 1_000_000_000
@@ -34,6 +35,8 @@ _BACK_MS = 1_000  # reordering on a link is quicker than this
 _ORIGIN_SAME = 50  # of 1e-7 degrees, 0.5 m, or of millimetres: less is a correction, not another origin
 _TOLD_LATE_NS = 1_000_000_000
 _IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
+_POINTS_MAX = 2_000
+_SCALE_MAX = 1e9
 _BLOCK = 1 << 18  # pairs of vehicles times instants that are held in memory at once
 
 
@@ -309,7 +312,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         moved = {v.get("id") for v in mission.get("vehicles") or () if v.get("origin", "pad") not in ("pad", "team")}
         positions = [item for item in positions if item[0] >= settled_ns or item[1].sysid not in moved]
     return Flight(
-        name=str(mission.get("name") or path.stem),
+        name=_printable(str(mission.get("name") or path.stem)),
         manifest=manifest,
         vehicles=_tracks(path, mission, result, positions, setpoints),
         formations=_formations(path, mission, events),
@@ -357,6 +360,11 @@ def _frames_lost_ns(
     return lost_ns
 
 
+def _printable(name: str) -> str:
+    """A name as a terminal and a page can show it; JSON can hold halves of letters."""
+    return name.encode(errors="replace").decode()[:200]
+
+
 def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> None:
     """Looks whether what is read here has the kinds of values that it is read as.
 
@@ -366,6 +374,7 @@ def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, An
     for where, values, key, kinds in (
         ("mission", mission, "vehicles", list),
         ("mission", mission, "formation", Mapping),
+        ("mission", mission, "shapes", list),
         ("mission", mission, "avoidance", Mapping),
         ("result", result, "local_origins_enu_m", list),
     ):
@@ -375,6 +384,9 @@ def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, An
         sysid = vehicle.get("id") if isinstance(vehicle, Mapping) else None
         if type(sysid) is not int or not 0 <= sysid <= 255:
             raise UserError(f"{path}: manifest: mission.vehicles[{index}]: no usable id; the manifest is damaged")
+    for index, shape in enumerate(mission.get("shapes") or ()):
+        if not isinstance(shape, Mapping) or type(shape.get("step")) is not int:
+            raise UserError(f"{path}: manifest: mission.shapes[{index}]: has no step; the manifest is damaged")
     for index, origin in enumerate(result.get("local_origins_enu_m") or ()):
         if not isinstance(origin, list | None):
             raise UserError(
@@ -480,14 +492,18 @@ def _formations(path: Path, mission: Mapping[str, Any], events: Sequence[Event])
     for index, item in enumerate(mission.get("shapes") or ()):
         shape = _formation(f"{where}.shapes[{index}].formation", item.get("formation"))
         if shape is not None:
-            own[int(item.get("step", -1)) + 1] = shape
+            own[item["step"] + 1] = shape
     found = []
     for event in events:
         told = _FORMATION_EVENT.match(event.text)
         if told is None:
             continue
         shape, scale = own.get(int(told[1]), first), told[2]
-        number = float(scale) if scale not in ("changing", "free") else None
+        number = None
+        with contextlib.suppress(ValueError):  # no number: it is changing, or free
+            number = float(scale)
+        if number is not None and not 0.0 < number < _SCALE_MAX:
+            continue
         points = shape.points_enu_m * (1.0 if number is None else number)
         found.append(replace(shape, points_enu_m=points, start_ns=event.t_ns, sized=number is not None))
     return tuple(found) if found else (first,)
@@ -497,19 +513,24 @@ def _formation(where: str, given: object) -> FlightFormation | None:
     if not isinstance(given, Mapping):
         return None
     scale = _vectors(f"{where}.scale", given.get("scale", 1.0), ())
-    points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
+    with np.errstate(over="ignore"):
+        points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
+    if not np.all(np.isfinite(points)):
+        raise UserError(f"{where}.scale: {scale:g} takes points beyond all bounds; the manifest is damaged")
     edges = given.get("edges", ())
     n = len(points)
+    if n > _POINTS_MAX:
+        raise UserError(f"{where}.points: {n} points, limit {_POINTS_MAX}; the manifest is damaged")
     if edges == "complete":
         pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
     else:
         try:
             pairs = [(int(i) - 1, int(j) - 1) for i, j in edges]
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise UserError(f"{where}.edges: expected pairs of agents; the manifest is damaged") from error
     if any(not 0 <= k < n for pair in pairs for k in pair):
         raise UserError(f"{where}.edges: an agent is not in 1 to {n}; the manifest is damaged")
-    return FlightFormation(str(given.get("name", "formation")), points, tuple(pairs))
+    return FlightFormation(_printable(str(given.get("name", "formation"))), points, tuple(pairs))
 
 
 def _radius(path: Path, mission: Mapping[str, Any]) -> float | None:

@@ -1,7 +1,7 @@
 """Setpoints and velocities of each vehicle out of a log, side by side on one grid of times.
 
-Velocities are dated by the vehicle's own clock, shifted so that the quickest message arrives at once: jitter of the link
-drops out, and the delay that is left is the whole loop's, both ways of the link included.
+Velocities are dated by the vehicle's own clock, shifted so that the quickest message arrives at once: jitter of the
+link drops out, and the delay that is left is the whole loop's, both ways of the link included.
 """
 
 from __future__ import annotations

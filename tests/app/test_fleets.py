@@ -127,9 +127,9 @@ def test_a_delay_that_nobody_reckoned_with_is_refused_with_the_one_to_reckon_wit
 
 def test_a_delay_that_the_mission_reckons_with_is_flown() -> None:
     reckoned = ("link_delay_s=0.39", "limits.pose_age_s=1.0", "limits.pose_lost_s=2.0")
-    with pytest.raises(UserError, match=r"tolerance_m: 0.4 m, minimum is 0.54 m: vehicles wander by GPS"):
+    with pytest.raises(UserError, match=r"tolerance_m: 0.4 m, minimum is 0.52 m: vehicles wander by GPS"):
         pair(*reckoned)
-    plan = pair(*reckoned, "steps.0.form.tolerance_m=0.54")
+    plan = pair(*reckoned, "steps.0.form.tolerance_m=0.52")
     assert plan.control_gain < 0.5 * pair().control_gain
     flight = Flight(plan, change=_slow, limit_s=300)
     _assert_flown(flight)
@@ -410,7 +410,9 @@ def test_a_reboot_in_flight_is_told_and_the_other_comes_back(vehicle: int) -> No
         interrupt_when=_when(holding, lambda flight: flight.world.reboot(vehicle)),
     )
     assert flight.runner.outcome == "aborted"
-    assert flight.runner.reason.startswith(f"vehicle {vehicle + 1}: its autopilot has started anew; it lands where")
+    # Whether its clock or its missing positions tell first is a matter of when it was asked for the time.
+    assert f"vehicle {vehicle + 1}: its autopilot has started anew; it lands where" in flight.runner.reason
+    assert f"vehicle {2 - vehicle}: " not in flight.runner.reason
     assert not flight.world.truth.armed.any()
 
 

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from groundstation.app.resources import packaged_configs
+from groundstation.app.resources import find_config, packaged_configs
+from groundstation.app.signing import read_keys
 from groundstation.core import files
 from groundstation.core.errors import UserError
 from groundstation.core.files import parse_yaml, read_yaml
 from groundstation.design import store
-from groundstation.design.store import load_gains
+from groundstation.design.store import load_formation, load_gains
+from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Encoder
 from groundstation.mission.plan import load_mission
 from groundstation.records.imports import read_crazyswarm
@@ -171,12 +173,14 @@ def test_a_file_without_end_is_not_read_to_its_end(tmp_path: Path, monkeypatch: 
         "\udcff",
         '{"format": 1, "mission": {}, "epoch_unix_us": -1, "versions": {}, "seed": null, "dry_run": true,'
         ' "gains_npz_base64": null, "gains_sha256": null, "result": null}',
+        '{"format": 1, "mission": {}, "epoch_unix_us": 1, "versions": {}, "seed": null, "dry_run": true,'
+        ' "gains_npz_base64": "\\ud7ff", "gains_sha256": null, "result": null}',
         '{"format": 1, "mission": {}, "epoch_unix_us": '
         + "9" * 100
         + ', "versions": {}, "seed": null, "dry_run": true,'
         ' "gains_npz_base64": null, "gains_sha256": null, "result": null}',
     ],
-    ids=["deep", "long number", "no text", "before time", "after time"],
+    ids=["deep", "long number", "no text", "before time", "gains", "after time"],
 )
 def test_hostile_manifests_are_a_short_message(tmp_path: Path, text: str) -> None:
     path = tmp_path / "f.manifest.json"
@@ -196,6 +200,9 @@ def test_hostile_manifests_are_a_short_message(tmp_path: Path, text: str) -> Non
         ({"vehicles": [{"id": 1, "pad_m": {"x": 1}}]}, {}),
         ({"formation": {"points": 1}}, {}),
         ({"formation": {"points": [[0, 0, 1]], "scale": "big"}}, {}),
+        ({"formation": 7}, {}),
+        ({"formation": {"points": [[0, 0, 1e308]], "scale": 1e308}}, {}),
+        ({"formation": {"points": [[0, 0, 1]] * 3000, "edges": "complete"}}, {}),
         ({"formation": {"points": [[0, 0, 1]], "edges": [[1, [2]]]}}, {}),
         ({"avoidance": {"radius_m": [1, 2]}}, {}),
         ({"avoidance": [1]}, {}),
@@ -239,3 +246,35 @@ def test_a_time_that_is_too_large_to_be_written_out_is_a_message(tmp_path: Path)
 def test_faults_with_null_for_a_number_are_a_message() -> None:
     with pytest.raises(FaultError, match=r"probability.*null is no number"):
         parse_faults("[{kind: loss, probability: null}]")
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\\0b", "a.**"])
+def test_names_that_no_file_can_have_are_a_message(name: str) -> None:
+    for key in ("formation", "gains"):
+        with pytest.raises(UserError, match="no such file"):
+            load_mission(CUBE8, [f'{key}="{name}"'])
+    plan = load_mission(CUBE8, [f'signing.key_file="{name}"'])
+    with pytest.raises(UserError, match=r"cannot be opened|no name of a file|no such key file"):
+        read_keys(plan)
+    with pytest.raises(UserError, match="no such file"):
+        find_config(Path(name), "missions")
+
+
+def test_a_formation_beyond_all_bounds_is_a_message(tmp_path: Path) -> None:
+    path = tmp_path / "huge.yaml"
+    for scale, coordinate in ((1e308, 1), (1, 1e308)):
+        path.write_text(f"name: a\nscale: {scale:.1e}\npoints: [[0, 0, 1], [0, 1, {coordinate:.1e}]]\nedges: complete")
+        with pytest.raises(UserError, match="should be less than or equal to 1000000000"):
+            load_formation(path)
+
+
+@pytest.mark.parametrize("kind", ["udpin", "udpout", "tcpin", "tcpout"])
+def test_names_that_no_host_can_have_are_a_message(kind: str) -> None:
+    with pytest.raises(UserError, match=f"link {kind}://aaa"):
+        open_link(f"{kind}://{'a' * 70}.invalid:14540")
+
+
+@pytest.mark.parametrize("key", ["vehicles.²", "vehicles." + "9" * 5000, "vehicles.-1", "vehicles.0.id.x"])
+def test_odd_numbers_of_list_items_are_a_message(key: str) -> None:
+    with pytest.raises(UserError, match="--set vehicles"):
+        load_mission(CUBE8, [f"{key}=1"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,7 +128,7 @@ def test_a_gridlocked_team_forms_is_counted_and_replayed(swaps: bool, tmp_path: 
     roles = [note.roles for note in flight.notes if note.kind == "roles"]
     assert roles[0] == tuple(range(8))
     assert len(load_flight(log).roles) == len(roles)
-    changed = [sum(a != b for a, b in zip(old, new, strict=True)) for old, new in zip(roles, roles[1:], strict=False)]
+    changed = [sum(a != b for a, b in zip(old, new, strict=True)) for old, new in itertools.pairwise(roles)]
     assert sum(changed) == 2 * figures.role_swaps
     assert verify_log(log).mismatches == 0
 

@@ -105,6 +105,7 @@ class Chain:
     shape: str = "sphere"
     half_height_m: float = 0.45
     widen: bool = False
+    filter_s: float = 0.0  # positions are carried on by velocities and follow reports with this time constant
 
     @property
     def region(self) -> regions.SafetyRegion:
@@ -244,7 +245,7 @@ def fly(
     pos, vel, accel = start_ned_m.copy(), np.zeros((n, 3)), np.zeros((n, 3))
     bias = rng.normal(0.0, profile.bias_m, (n, 3)) if profile.bias_m else np.zeros((n, 3))
     sent = np.zeros((n, 3))
-    seen_pos, seen_vel, last_out = pos.copy(), vel.copy(), np.zeros((n, 3))
+    seen_pos, seen_vel, kept_pos, last_out = pos.copy(), vel.copy(), pos.copy(), np.zeros((n, 3))
     clearance = np.inf
     smallest, formed_s, blocked, infeasible, error = np.inf, np.nan, 0, 0, np.inf
     way_out = WayOut(chain, profile) if chain.swaps or chain.detours else None
@@ -257,6 +258,10 @@ def fly(
         lost = rng.random((n, 1)) < profile.loss if profile.loss and tick else np.zeros((n, 1), dtype=np.bool_)
         seen_pos = np.where(lost, seen_pos + chain.tick_s * seen_vel, new_pos)  # carried on, as the ground station does
         seen_vel = np.where(lost, seen_vel, new_vel)
+        if chain.filter_s:
+            carried = seen_pos if tick == 0 else kept_pos + chain.tick_s * seen_vel
+            kept_pos = carried + (seen_pos - carried) * chain.tick_s / chain.filter_s
+        believed_pos = kept_pos if chain.filter_s else seen_pos
         forward, right = np.cos(yaw), np.sin(yaw)
         ahead = accel[:, 0] * forward + accel[:, 1] * right
         aside = -accel[:, 0] * right + accel[:, 1] * forward
@@ -264,7 +269,7 @@ def fly(
         quat = frames.quat_ned_from_frd_of_euler(
             tilt[0] + np.arctan(aside / GRAVITY_M_S2), tilt[1] - np.arctan(ahead / GRAVITY_M_S2), yaw
         )
-        views = local_views(seen_pos, seen_vel, quat, sensed)
+        views = local_views(believed_pos, seen_vel, quat, sensed)
         want = control.formation_control(
             views, task, chain.scale, chain.control_gain, lead_s=chain.lead_s, upright_1_s=chain.upright_1_s
         )

@@ -176,7 +176,8 @@ def test_held_back_is_told() -> None:
 
 def test_the_margin_leaves_room_for_the_formation() -> None:
     assert fitting_margin_m(0.05, 0.55) == 0.05
-    assert fitting_margin_m(0.05, 0.06) == pytest.approx(0.03)
+    assert fitting_margin_m(0.05, 0.056) == 0.05
+    assert fitting_margin_m(0.05, 0.05) == pytest.approx(0.045)
     with pytest.raises(ValueError, match="room"):
         fitting_margin_m(0.05, -0.15)
 

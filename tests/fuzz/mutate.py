@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from random import Random
+from typing import Any
 
 _CASE_MAX = 4_096
 _BYTES = (0x00, 0x01, 0x7F, 0x80, 0xFD, 0xFE, 0xFF)
@@ -58,3 +60,38 @@ class Mutator:
         elif kind == 7 and len(data) > 1:
             del data[at:]
         del data[4 * _CASE_MAX :]
+
+
+def bend(values: Any, random: Random) -> Any:
+    """Replaces, removes or moves some of the values of a nested structure; it stays what YAML and JSON can say."""
+    places: list[tuple[Any, Any]] = []
+
+    def collect(item: Any) -> None:
+        inside = item.items() if isinstance(item, dict) else enumerate(item) if isinstance(item, list) else ()
+        for key, value in inside:
+            places.append((item, key))
+            collect(value)
+
+    collect(values)
+    for _ in range(random.choice((1, 1, 2, 5))):
+        parent, key = random.choice(places)
+        other, other_key = random.choice(places)
+        try:
+            old = other[other_key]
+            if random.random() < 0.1:
+                del parent[key]
+            elif random.random() < 0.2:
+                parent[key] = json.loads(json.dumps(old))
+            else:
+                parent[key] = random.choice(_VALUES)
+        except (KeyError, IndexError):  # it went with what was removed before
+            continue
+    return values
+
+
+_VALUES: tuple[Any, ...] = (
+    None, True, False, 0, -1, 1, 2, 255, 256, 1 << 31, 1 << 63, 10**30, 0.0, -0.0, 0.5, 1e-308, 1e308, -1e308,
+    float("nan"), float("inf"), "", "x", "0", "pad", "gps", "team", "global", "px4", "auto", "free", [], {}, [0, 0, 0],
+    [1e308] * 3, [[]], ["a", "b", "c"], {"a": 1}, [[1, 2]], "complete", "udpin://h:1", "\x00", "\ud7ff", "\ud800",
+    "x" * 500,
+)  # fmt: skip

@@ -6,18 +6,23 @@ broken: arbitrary bytes never raise, take no memory without bound, and never let
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import deepcopy
 from itertools import pairwise
 from pathlib import Path
 from random import Random
 
 import numpy as np
+import yaml
 
 from groundstation.app.discovery import Discovery
+from groundstation.app.resources import find_config
 from groundstation.core.errors import UserError
+from groundstation.core.files import read_yaml, validate
 from groundstation.design.designer import design
 from groundstation.design.store import load_formation, load_gains, save_gains
 from groundstation.links.tcp import TcpServerLink
@@ -26,8 +31,10 @@ from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, m
 from groundstation.mavlink.gate import Gate, Refused, SignedLink
 from groundstation.mavlink.keys import new_key, read_key, read_times
 from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at
+from groundstation.mission import plan
 from groundstation.mission.plan import load_mission
 from groundstation.mission.runner import Runner
+from groundstation.mission.schema import MissionSpec
 from groundstation.records.manifest import manifest_path, read_manifest
 from groundstation.records.notes import Noise, Received
 from groundstation.records.replay import load_flight
@@ -36,6 +43,7 @@ from sitl.faults import FaultError, parse_faults
 from sitl.fleet import fleet
 from sitl.world import World, WorldConfig
 from tests.fuzz import samples
+from tests.fuzz.mutate import bend
 
 TICK_NS = 20_000_000
 YAML_WORDS = (
@@ -247,6 +255,8 @@ class Replay(Target):
         return self._logs + self._manifests * 20
 
     def run(self, data: bytes) -> None:
+        if data.lstrip()[:1] == b"{":
+            data = json.dumps(bend(json.loads(self.random.choice(self._manifests)), self.random)).encode()
         bent_log = data.lstrip()[:1] != b"{"
         self._log.write_bytes(data if bent_log else self.random.choice(self._logs))
         manifest_path(self._log).write_bytes(self.random.choice(self._manifests) if bent_log else data)
@@ -268,6 +278,9 @@ class ManifestFile(Target):
         return samples.manifests(b"gains" * 100)
 
     def run(self, data: bytes) -> None:
+        if self.random.random() < 0.5:
+            values = bend(json.loads(self.random.choice(self.samples())), self.random)
+            data = json.dumps(values).encode()
         path = self.folder / "f.manifest.json"
         path.write_bytes(data)
         try:
@@ -290,12 +303,57 @@ class Mission(Target):
         return samples.missions()
 
     def run(self, data: bytes) -> None:
+        if self.random.random() < 0.5:  # well formed, with values that nobody expects
+            values = yaml.safe_load(self.random.choice(samples.missions()))
+            data = yaml.safe_dump(bend(values, self.random)).encode()
         self._path.write_bytes(data)
         override = data[: self.random.randrange(20)].decode(errors="replace")
         try:
             load_mission(self._path, [f"rate_hz={override}"] if self.random.random() < 0.1 else ())
         except UserError as error:
             check_words(error)
+
+
+class CommandLine(Target):
+    """What is typed: ``--set`` and link addresses."""
+
+    name = "typed"
+    words = (
+        *YAML_WORDS,
+        b".",
+        b"=",
+        b"vehicles.0.",
+        b"steps.1.hold",
+        "\u00b2".encode(),
+        b"9" * 5000,
+        b"[::1",
+        b"://",
+        b":0",
+    )
+
+    def __init__(self, folder: Path, random: Random) -> None:
+        super().__init__(folder, random)
+        self._values = read_yaml(write_mission(folder))
+
+    def samples(self) -> Sequence[bytes]:
+        return (
+            b"vehicles.2.pad_m=[1,0,0]", b"speed_limit_m_s=0.3", b"steps.1.hold.seconds=5", b"limits.new={a: [1, 2]}",
+            b"udpin://0.0.0.0:14540", b"tcpout://[::1]:5760", b"serial:///dev/ttyUSB0:57600", b"mavsdk://udpin://h:1",
+        )  # fmt: skip
+
+    def run(self, data: bytes) -> None:
+        text = data[:200].decode(errors="replace")
+        values = deepcopy(self._values)
+        for use in (
+            lambda: plan._override(values, text),
+            lambda: validate(MissionSpec, values, "typed"),
+            lambda: parse_address(text),
+            lambda: find_config(Path(text * 20), "missions"),
+        ):
+            try:
+                use()
+            except UserError as error:
+                check_words(error)
 
 
 class FormationFile(Target):
@@ -309,6 +367,8 @@ class FormationFile(Target):
 
     def run(self, data: bytes) -> None:
         path = self.folder / "formation.yaml"
+        if self.random.random() < 0.5:
+            data = yaml.safe_dump(bend(yaml.safe_load(self.random.choice(samples.formations())), self.random)).encode()
         path.write_bytes(data)
         try:
             load_formation(path)
@@ -327,6 +387,8 @@ class Faults(Target):
 
     def run(self, data: bytes) -> None:
         try:
+            if self.random.random() < 0.5:
+                data = yaml.safe_dump(bend(yaml.safe_load(samples.faults_text()), self.random)).encode()
             faults = parse_faults(data.decode())
             World(WorldConfig(vehicles=fleet(2), faults=faults), 0)
         except (FaultError, UnicodeDecodeError) as error:
@@ -428,7 +490,7 @@ class Discover(Target):
             self._discovery.receive(link, str(self.random.randrange(2000)), data, self._now_ns)
         self._discovery.outgoing(self._now_ns)
         self._discovery.doubles(self._now_ns)
-        self._discovery.block()
+        self._discovery.block(self._now_ns)
         if len(self._discovery.found) > 30:
             self._discovery = Discovery([parse_address("udpin://0.0.0.0:1"), parse_address("tcpin://0.0.0.0:1")])
 
@@ -454,8 +516,8 @@ class Tcp(Target):
 
 
 TARGETS: tuple[type[Target], ...] = (
-    Datagrams, Streams, GroundStation, SignedLinks, Log, Replay, ManifestFile, Mission, FormationFile, Faults, Gains,
-    Key, Emulator, Discover, Tcp,
+    Datagrams, Streams, GroundStation, SignedLinks, Log, Replay, ManifestFile, Mission, CommandLine, FormationFile,
+    Faults, Gains, Key, Emulator, Discover, Tcp,
 )  # fmt: skip
 
 

@@ -66,3 +66,14 @@ def test_what_is_urgent_can_clear_what_waits() -> None:
     queue.clear(0)
     queue.request(0, LAND)
     assert _sent(queue, 1) == [(0, 21, 0)]
+
+
+def test_commands_that_nobody_answers_are_counted_until_somebody_does() -> None:
+    queue = CommandQueue(1)
+    for number in (1, 2):
+        queue.request(0, ARM)
+        for tick in range(4, -1, -1):
+            queue.due(number * 10 * SECOND_NS - tick * SECOND_NS)
+        assert (queue.unanswered, queue.answered) == ([number], [False])
+    queue.acknowledge(Ack(0, 999, 3, 1))  # any answer shows that it hears
+    assert (queue.unanswered, queue.answered) == ([0], [True])

@@ -142,3 +142,27 @@ def test_a_scaled_formation_comes_back_from_its_record_to_the_bit(name: str) -> 
     assert again.formation.points_enu_m.tolist() == plan.formation.points_enu_m.tolist()
     assert (again.control_gain, again.rates, again.margin_m) == (plan.control_gain, plan.rates, plan.margin_m)
     assert again.record() == plan.record()
+
+
+def test_a_link_is_lean_only_where_too_few_positions_would_fit() -> None:
+    def fit(vehicles: int) -> LinkRates:
+        return fit_rates(
+            "serial", vehicles, 5760, pose_hz=50, setpoint_hz=50, position="LOCAL_POSITION_NED", cross_check=True
+        )
+
+    assert [fit(vehicles).lean for vehicles in range(1, 10)] == [False] * 4 + [True] * 5
+    assert fit(8).pose_hz == pytest.approx(10.0, abs=0.1)
+    assert (fit(8).attitude_hz, fit(8).setpoint_hz > 8.0) == (2.0, True)
+    with pytest.raises(UserError, match=r"minimum is 8 Hz; 9 would fit: use a faster link \(115200 baud do\)"):
+        fit(10)
+
+
+def test_a_tolerance_that_wandering_vehicles_cannot_keep_is_refused_and_the_one_that_is_named_is_taken() -> None:
+    slow = "link_delay_s=0.39"
+    with pytest.raises(UserError, match=r"steps\[0\].form.tolerance_m: 0.4 m, minimum is 0.51 m"):
+        mission("px4_cube8", slow)
+    with pytest.raises(UserError, match=r"tolerance_m: 0.5 m, minimum is 0.51 m"):
+        mission("px4_cube8", slow, "steps.0.form.tolerance_m=0.5")
+    assert mission("px4_cube8", slow, "steps.0.form.tolerance_m=0.51").slowness > 2.0
+    assert mission("px4_cube8").slowness == 1.0
+    assert cube8("link_delay_s=0.5").size == 8  # motion capture does not wander

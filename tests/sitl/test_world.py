@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.mavlink.codec import Encoder, layout, message_name
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, layout, message_id, message_name
+from sitl.estimator import NOISELESS
 from sitl.fleet import fleet, grid_pads
 from sitl.network import LinkConfig
 from sitl.world import Outgoing, VehicleConfig, World, WorldConfig
@@ -229,3 +230,57 @@ def test_no_frame_of_any_type_breaks_it(autopilot: str, seed: int, flying: bool)
     ground.run(1.0)
     assert np.isfinite(ground.world.truth.pos_enu_m).all()
     assert np.isfinite(ground.world.truth.quat).all()
+
+
+def test_pads_on_posts_carry_who_stands_on_them_and_can_be_drawn_in() -> None:
+    pads = ((0.0, 0.0, 2.0), (3.0, 0.0, 1.0), (6.0, 0.0, 0.0))
+    config = WorldConfig(
+        vehicles=tuple(VehicleConfig(sysid=i + 1, pad_enu_m=pad, noise=NOISELESS) for i, pad in enumerate(pads)),
+        floor_m=0.0,
+    )
+    team = World(config, 1)
+    dynamics = team.dynamics
+
+    def fly(until_s: float, *velocities: tuple[float, float, float]) -> None:
+        dynamics.flying[:] = True
+        dynamics.vel_sp_enu_m_s[:] = np.array(velocities).T
+        team.advance(round(until_s * 1e9))
+
+    fly(2.0, (0.0, 0.0, 0.5), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
+    assert dynamics.pos_enu_m[2].tolist() == pytest.approx([2.9, 1.9, 0.0], abs=0.15)
+    # The first comes down beside its post, to the floor; the second onto its own.
+    fly(5.0, (0.5, 0.0, 0.0), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0))
+    fly(13.0, (0.0, 0.0, -0.5), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0))
+    assert dynamics.pos_enu_m[2].tolist() == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
+    # Posts that are drawn in leave whoever stands on one standing; who has left it finds the floor.
+    dynamics.posts_up = False
+    fly(14.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert dynamics.pos_enu_m[2, 1] == pytest.approx(1.0, abs=0.01)
+    fly(15.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
+    fly(21.0, (0.0, 0.0, 0.0), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0))
+    assert dynamics.pos_enu_m[2, 1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_smallest_distances_of_pairs_agree_with_the_smallest_of_all() -> None:
+    config = WorldConfig(
+        vehicles=tuple(VehicleConfig(sysid=i + 1, pad_enu_m=(float(i * i), 0.0, 0.0)) for i in range(3))
+    )
+    team = World(config, 1)
+    assert np.isinf(team.min_distance_airborne_of_pairs_m()).all()
+    team.dynamics.flying[:2] = True
+    team.dynamics.vel_sp_enu_m_s[2] = 0.5
+    team.advance(1_000_000_000)
+    pairs = team.min_distance_airborne_of_pairs_m()
+    assert pairs[0, 1] == pairs[1, 0] == team.min_distance_airborne_m < 1.1
+    assert np.isinf(pairs[2]).all()
+    team.reset_min_distance()
+    assert team.min_distance_airborne_m == np.inf
+
+
+def test_quiet_vehicles_say_nothing_unasked_but_their_heartbeat() -> None:
+    team = World(WorldConfig(vehicles=(VehicleConfig(sysid=1, streams="quiet"),)), 1)
+    splitter = FrameSplitter()
+    frames = [piece for sent in team.advance(10_000_000_000) for piece in splitter.feed(sent.data)]
+    names = {frame.msgid for frame in frames if isinstance(frame, Frame)}
+    assert message_id("HEARTBEAT") in names
+    assert names <= {message_id("HEARTBEAT"), message_id("STATUSTEXT")}

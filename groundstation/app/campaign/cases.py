@@ -25,7 +25,7 @@ from groundstation.mission.plan import MissionPlan, _override, load_mission, pla
 
 _ROOM_M = 1.0  # between the starts and the fence
 _SPARE_M = 0.01  # starts are that much further apart than the mission itself demands of pads
-_TRIES, _RESTARTS = 200, 200
+_TRIES, _RESTARTS = 100, 30
 _FAR_M = 50.0
 
 
@@ -195,7 +195,8 @@ def scattered(count: int, low: FloatArray, high: FloatArray, apart_m: float, rng
 
     Args:
         count: how many.
-        low, high: corners, shape (3,).
+        low: lower corner, shape (3,).
+        high: upper corner, shape (3,).
         apart_m: smallest distance.
         rng: draws.
 

@@ -35,6 +35,8 @@ _STYLE: dict[Any, Any] = {
     "savefig.facecolor": "white",
 }
 _GROUPS_MAX = 24
+_CELLS_MAX = 40
+_PHASES = ("ground", "takeoff", "form", "hold", "return", "land")
 _COLUMNS = (
     ("cell", "cell"),
     ("runs", "runs"),
@@ -83,11 +85,25 @@ def lines(values: Mapping[str, Any]) -> list[list[str]]:
     return out
 
 
+def fault_lines(values: Mapping[str, Any]) -> list[list[str]]:
+    """The faults by phase as text, heading first; empty without any."""
+    found: Mapping[str, Mapping[str, Sequence[int]]] = values["matrix"]
+    phases = [phase for phase in _PHASES if any(phase in row for row in found.values())]
+    out = [["fault", *phases]] if found else []
+    for name, row in found.items():
+        out.append([name, *(f"{row[phase][0]} of {row[phase][1]}" if phase in row else "-" for phase in phases)])
+    return out
+
+
 def to_markdown(values: Mapping[str, Any]) -> str:
     """The table of cells, and the worst runs."""
     table = lines(values)
     text = [f"| {' | '.join(row)} |" for row in table]
     text.insert(1, "|" + " --- |" * len(table[0]))
+    faults = fault_lines(values)
+    if faults:
+        text += ["", "Safe and told, of all runs:", "", f"| {' | '.join(faults[0])} |", "|" + " --- |" * len(faults[0])]
+        text += [f"| {' | '.join(row)} |" for row in faults[1:]]
     text += ["", *(f"- run {item['run']}: {item['why']} (`{item['replay']}`)" for item in values["worst"])]
     return "\n".join(text) + "\n"
 
@@ -107,8 +123,13 @@ def _text(cell: Mapping[str, Any], key: str) -> str:
 
 def _page(title: str, values: Mapping[str, Any], pictures: Sequence[tuple[str, str]]) -> str:
     head, *body = lines(values)
+    faults = fault_lines(values)
     table = "<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"
     table += "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in body)
+    struck = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in faults)
+    struck = (
+        f'<h2>Faults: safe and told, of all runs</h2><div class="wide"><table>{struck}</table></div>' if faults else ""
+    )
     worst = "".join(
         f"<tr><td>{item['run']}</td><td>{html.escape(item['why'])}</td><td><code>{html.escape(item['replay'])}</code></td></tr>"
         for item in values["worst"]
@@ -132,6 +153,7 @@ td {{ font-variant-numeric: tabular-nums; }} code {{ font-size: 0.85em; }}
 <p>Intervals are 95 % (Clopper and Pearson). Success: formed, completed, everybody down, true distance never below r.
 Safe: everybody down or in failsafe, and nobody who could keep clear came nearer than r.</p>
 <div class="wide"><table>{table}</table></div>
+{struck}
 {images}
 <h2>Worst runs</h2>
 <div class="wide"><table><tr><th>run</th><th>why</th><th>again</th></tr>{worst}</table></div>
@@ -158,7 +180,7 @@ def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[t
     ):
         with mpl.rc_context(_STYLE):
             tall = file == "success.png"
-            height = min(1.6 + 0.42 * (len(groups) + 1), 40.0) if tall else 5.2
+            height = 1.6 + 0.42 * (min(len(groups), _CELLS_MAX) + 1) if tall else 5.2
             figure = Figure(figsize=(11.0, max(height, 3.0)), dpi=100, layout="constrained")
             FigureCanvasAgg(figure)
             drawing(figure.add_subplot(), groups, values)
@@ -168,7 +190,10 @@ def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[t
 
 
 def _draw_rates(axes: Axes, groups: Sequence[tuple[list[Row], str]], values: Mapping[str, Any]) -> None:
-    cells = [*values["cells"], {**values, "cell": "all"}]
+    cells = values["cells"]
+    if len(cells) > _CELLS_MAX:  # then those that are not good, the worst first
+        cells = sorted((cell for cell in cells if cell["safe_rate"] < 1.0), key=lambda cell: float(cell["safe_rate"]))
+    cells = [*cells[:_CELLS_MAX], {**values, "cell": "all"}]
     places = np.arange(len(cells))[::-1]
     for shift, name, colour in ((0.22, "success", _BLUE), (0.0, "formed", _ORANGE), (-0.22, "safe", "#009E73")):
         rate = np.array([cell[f"{name}_rate"] for cell in cells])

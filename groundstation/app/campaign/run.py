@@ -21,6 +21,7 @@ from groundstation.app.campaign.cases import Case
 from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
+from groundstation.app.signing import open_gate
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from groundstation.core.types import BoolArray
@@ -33,6 +34,7 @@ from groundstation.records.manifest import (
     versions,
     write_manifest,
 )
+from groundstation.records.replay import load_flight
 from groundstation.records.tlog import TlogWriter
 from sitl.faults import FaultError
 from sitl.world import World, WorldConfig
@@ -47,7 +49,7 @@ _WORDS_MAX = 2_000
 DISOBEDIENT = frozenset(
     {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift", "motor_failure", "reboot"}
 )
-"""Faults after which a vehicle cannot be steered to keep clear: it does not hear, does not know where it is, or falls."""
+"""Faults after which a vehicle cannot be steered to keep clear: it does not hear, does not know its place, or falls."""
 
 
 class _TooLongError(Exception):
@@ -168,13 +170,15 @@ class _Flown:
             if setting.verify and log is None:
                 log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.tlog"
             writer = None
+            gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
             if log is not None:
                 write_manifest(manifest_path(log), manifest)
-                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=plan.stream_links))
-            runner = Runner(plan, 0)
+                streams = plan.stream_links if gate is None else ()
+                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=streams))
+            runner = Runner(plan, 0, whole_frames=gate is not None)
             try:
                 fly_virtual(
-                    Session(runner, writer),
+                    Session(runner, writer, gate),
                     self._world,
                     period_ns=round(_SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
@@ -187,8 +191,7 @@ class _Flown:
                 writer.close()
                 write_manifest(manifest_path(log), manifest.finished(values))
             if setting.verify and log is not None:
-                verified = verify_log(log)
-                values |= {"log_mismatches": verified.mismatches, "log_complete": verified.complete}
+                values |= _verified(log, values)
         return values
 
     def _watch(self, session: Session, now_ns: int) -> None:
@@ -260,7 +263,7 @@ class _Flown:
         return {
             "outcome": outcome,
             "reason": reason[:_WORDS_MAX],
-            "success": formed and outcome == "completed" and self._min_m >= radius_m and ended_safely,
+            "success": formed and outcome == "completed" and self._min_m >= radius_m and set(states) == {"down"},
             "formed": formed,
             "safe": ended_safely and clear,
             "time_to_form_s": float(figures.time_to_form_s),
@@ -304,6 +307,15 @@ class _Flown:
         return "armed on the ground" if on_ground else "in the air"
 
 
+def _verified(log: Path, values: Row) -> Row:
+    """Flies the log again; one in which no setpoint was sent is read to its end instead."""
+    if values["setpoints"]:
+        verified = verify_log(log)
+        return {"log_mismatches": verified.mismatches, "log_complete": verified.complete}
+    flight = load_flight(log)
+    return {"log_mismatches": 0, "log_complete": flight.message is None and flight.ticks == values["ticks"]}
+
+
 def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
     """The world of a case.
 
@@ -332,10 +344,11 @@ def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
     link = emulator.link.config()
     if link != config.uplink:
         config = replace(config, uplink=link, downlink=link)
-    try:
-        World(config, case.seed)
-    except FaultError as error:
-        raise UserError(str(error)) from None
+    if config.faults:
+        try:
+            World(config, case.seed)
+        except FaultError as error:
+            raise UserError(str(error)) from None
     return config
 
 

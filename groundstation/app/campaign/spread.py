@@ -24,6 +24,12 @@ from groundstation.records.manifest import versions
 _AHEAD = 3  # cases per thread that are waiting or being flown
 _PATIENCE_S = 30.0
 _LOOK_S = 0.2
+_QUIET = {
+    "distributed.comm.timeouts.connect": "10s",
+    "distributed.scheduler.http.routes": [],  # nothing to be looked at over HTTP
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.http.routes": [],
+}
 
 
 class Flyer(Protocol):
@@ -141,14 +147,12 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
         UserError: the scheduler does not answer, has no workers, or they run another version of this program.
     """
     import dask  # noqa: PLC0415 - takes half a second to load
-    from distributed import Client, LocalCluster  # noqa: PLC0415
+    import distributed  # noqa: PLC0415
+
+    package: Any = distributed  # its classes are not typed
 
     with ExitStack() as stack:
-        stack.enter_context(
-            dask.config.set(
-                {"distributed.comm.timeouts.connect": "10s", "distributed.admin.large-graph-warning-threshold": "1GB"}
-            )
-        )
+        stack.enter_context(dask.config.set(_QUIET))
         for name in ("distributed", "distributed.worker", "distributed.nanny", "distributed.scheduler"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         if address is None:
@@ -157,20 +161,20 @@ def dask_flyer(address: str | None, workers: int | None) -> Iterator[DaskFlyer]:
             for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
                 os.environ.setdefault(variable, "1")  # inherited by the workers
             try:
-                cluster = LocalCluster(
+                cluster = package.LocalCluster(
                     n_workers=workers or (1 if workers == 0 else os.cpu_count()),
                     threads_per_worker=1,
                     processes=workers != 0,
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                 )
             finally:
                 signal.signal(signal.SIGINT, before)
             stack.enter_context(cluster)
-            client = stack.enter_context(Client(cluster))
+            client = stack.enter_context(package.Client(cluster))
         else:
             try:
-                client = stack.enter_context(Client(address, timeout=10))
+                client = stack.enter_context(package.Client(address, timeout=10))
                 client.wait_for_workers(1, timeout=_PATIENCE_S)
             except (OSError, TimeoutError, ValueError) as error:
                 raise UserError(f"--scheduler {address}: {error or 'no worker'}; start one, or leave it out") from None

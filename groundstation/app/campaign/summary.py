@@ -85,7 +85,8 @@ def summarise(rows: Sequence[Row], cells: Sequence[str], command: Callable[[int]
         command: the command that replays a run.
 
     Returns:
-        Figures over all runs, ``cells`` with those of each, and ``worst``: run, seed, why and replay, worst first.
+        Figures over all runs, ``cells`` with those of each, ``matrix`` of faults by phase, and ``worst``: run, seed,
+        why and replay, worst first.
     """
     values = figures(rows)
     values["cells"] = []
@@ -94,11 +95,23 @@ def summarise(rows: Sequence[Row], cells: Sequence[str], command: Callable[[int]
             {"cell": cell, **figures([row for row in rows if row["run"] % len(cells) == number])}
             for number, cell in enumerate(cells)
         ]
+    values["matrix"] = matrix(rows)
     values["worst"] = [
         {"run": row["run"], "seed": row["seed"], "cell": row["cell"], "why": why(row), "replay": command(row["run"])}
         for row in sorted(rows, key=_badness)[:_WORST]
     ]
     return values
+
+
+def matrix(rows: Sequence[Row]) -> dict[str, dict[str, list[int]]]:
+    """Faults by phase: of how many runs in which they struck the team was safe, and how many there were."""
+    out: dict[str, dict[str, list[int]]] = {}
+    for row in rows:
+        if row["fault_phase"]:
+            cell = out.setdefault(row["faults"], {}).setdefault(row["fault_phase"], [0, 0])
+            cell[0] += bool(row["safe"] and (row["outcome"] == "completed" or row["told"]))
+            cell[1] += 1
+    return out
 
 
 def missed(values: dict[str, Any], expect: ExpectSpec) -> list[str]:

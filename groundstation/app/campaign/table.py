@@ -1,7 +1,8 @@
 """The table of a campaign: rows go to Parquet as they finish, in part files that are whole or not there.
 
-At the end the parts are merged into one table sorted by run, which is the same, byte for byte, however often the campaign
-was killed and resumed and however many workers flew it. Wall times, which are not, stand in a table of their own.
+At the end the parts are merged into one table sorted by run, which is the same, byte for byte, however often the
+campaign was killed and resumed and however many workers flew it. Wall times, which are not, stand in a table of their
+own.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from groundstation.core.errors import UserError
 
@@ -93,7 +94,7 @@ class Table:
         """
         try:
             self._parts.mkdir(parents=True, exist_ok=True)
-            if self._identity_path.exists():
+            if self._identity_path.exists() and (self.runs_path.exists() or self._part_paths()):
                 self._check(identity, resume=resume)
             self._replace(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
         except OSError as error:

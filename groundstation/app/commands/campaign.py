@@ -14,7 +14,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Listing
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.report import write_summary
@@ -86,7 +86,16 @@ def campaign(
     _announce(out, varied, count, len(todo))
     interrupted = Interrupted()
     if todo:
-        _fly_all(out, cases, todo, table, interrupted, scheduler, workers, done=count - len(todo))
+        _fly_all(
+            out,
+            cases,
+            todo,
+            table,
+            interrupted=interrupted,
+            scheduler=scheduler,
+            workers=workers,
+            done=count - len(todo),
+        )
     rows = [row for row in table.merge() if row["run"] < count]
 
     def command(run: int) -> str:
@@ -133,10 +142,10 @@ def _fly_all(
     cases: Cases,
     todo: list[int],
     table: Table,
+    *,
     interrupted: Interrupted,
     scheduler: str | None,
     workers: int | None,
-    *,
     done: int,
 ) -> None:
     """Flies what is missing; whatever happens, rows that came back are in the table."""
@@ -203,20 +212,20 @@ def _tell(out: Output, values: Mapping[str, Any], folder: Path) -> None:
     if len(cells) > _CELLS_SHOWN:
         out.console.print(f"{len(cells) - 1} cells; those that are not safe in every run:")
         cells = [cell for cell in cells[:-1] if cell["safe_rate"] < 1.0][:_CELLS_SHOWN] + cells[-1:]
-    listing = Listing("cell", box=SIMPLE_HEAD)
-    for heading in ("runs", "success %", "95 % interval", "formed", "safe", "<r", "median", "slowest", "nearest"):
+    listing = Listing(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    listing.add_column("cell", min_width=12, overflow="fold")
+    for heading in ("runs", "success (95 %)", "formed", "safe", "<r", "median", "nearest"):
         listing.add_column(heading, no_wrap=True, justify="right")
     for cell in cells:
+        low, high = (f"{100 * cell[f'success_{end}']:.3g}" for end in ("low", "high"))
         listing.add_row(
             cell["cell"],
             str(cell["runs"]),
-            f"{100 * cell['success_rate']:.4g}",
-            f"{100 * cell['success_low']:.4g}-{100 * cell['success_high']:.4g}",
-            f"{100 * cell['formed_rate']:.4g}",
-            f"{100 * cell['safe_rate']:.4g}",
+            f"{100 * cell['success_rate']:.3g} % ({low}-{high})",
+            f"{100 * cell['formed_rate']:.3g} %",
+            f"{100 * cell['safe_rate']:.3g} %",
             str(cell["below_r"]),
             _figure(cell["median_time_to_form_s"], "s"),
-            _figure(cell["max_time_to_form_s"], "s"),
             _figure(cell["min_distance_m"], "m"),
         )
     out.console.print(listing)

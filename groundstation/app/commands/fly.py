@@ -97,9 +97,9 @@ def fly(
         values = _real_flight(
             out, plan, log_path, timetable, emulated_seed=seed if dry_run else None, take_over=take_over
         )
-    refused = values.pop("refused")
+    refused, beside = values.pop("refused"), values.pop("beside")
     values["wall_s"] = round(time.monotonic() - started, 3)
-    _tell(out, values)
+    _tell(out, values | beside)
     out.result(values)
     if refused:
         raise PreflightRefused(_refusal(str(values["reason"]), "nothing was taken over" if take_over else None))
@@ -224,9 +224,10 @@ def _dry_run(
                 controls=controls,
             )
     values = _values(session.runner, log_path, seed) | meter.figures()
+    record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
     _tell_refused(out, values, plan, gate)
-    _finish(out, log_path, manifest.finished(values | _for_the_record(session.runner, gate)))
-    return values
+    _finish(out, log_path, manifest.finished(values | record))
+    return values | {"beside": record}
 
 
 def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Sequence[Control], Callable[[], str] | None]:
@@ -306,8 +307,9 @@ def _real_flight(
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
+            record["move_error_m"] = meter.move_error_m
     _finish(out, log_path, manifest.finished(values | record))
-    return values
+    return values | {"beside": record}
 
 
 def _manifest(
@@ -363,7 +365,12 @@ def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
 def _for_the_record(runner: Runner, gate: FlightGate | None) -> dict[str, Any]:
     """What the manifest keeps beside the figures: events that were only counted, and where local frames begin."""
     refused = gate.totals() if gate is not None else {}
-    return {"counts": dict(runner.fleet.counts) | refused, "local_origins_enu_m": runner.local_origins_enu_m}
+    return {
+        "counts": dict(runner.fleet.counts) | refused,
+        "local_origins_enu_m": runner.local_origins_enu_m,
+        "move_error_m": runner.figures.move_error_m,
+        "detours": runner.figures.detours,
+    }
 
 
 def _tell_refused(out: Output, values: dict[str, Any], plan: MissionPlan, gate: FlightGate | None) -> None:
@@ -381,16 +388,24 @@ def _tell(out: Output, values: Mapping[str, Any]) -> None:
     for label, value in (
         ("formed after", _figure(values["time_to_form_s"], "s")),
         ("largest distance error while holding", _figure(values["formation_error_m"], "m")),
+        ("largest distance error while moving", _figure(values["move_error_m"], "m", missing="")),
         ("smallest distance in the air", _figure(values["min_distance_m"], "m")),
         ("smallest clearance, 1 = at the safety region", _figure(values["min_clearance"], "")),
         ("safety radius r", _figure(values["safety_radius_m"], "m")),
+        ("gridlocks, swaps of roles, detours", _gridlocks(values)),
         ("flight time", _figure(values["duration_s"], "s")),
         ("setpoints sent", str(values["setpoints"])),
         ("log", values["log"]),
     ):
-        table.add_row(label, value)
+        if value:
+            table.add_row(label, value)
     out.console.print(table)
 
 
-def _figure(value: float, unit: str) -> str:
-    return f"{value:.3f} {unit}" if math.isfinite(value) else "-"
+def _gridlocks(values: Mapping[str, Any]) -> str:
+    counts = [values[name] for name in ("gridlocks", "role_swaps", "detours")]
+    return ", ".join(str(count) for count in counts) if any(counts) else ""
+
+
+def _figure(value: float, unit: str, missing: str = "-") -> str:
+    return f"{value:.3f} {unit}" if math.isfinite(value) else missing

@@ -12,7 +12,8 @@ from rich.table import Table
 from groundstation.app.commands.fly import JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import CheckFailed, MissionFailed
-from groundstation.core.identify import STEP_S, Response, identify as fit
+from groundstation.core.identify import STEP_S, Response
+from groundstation.core.identify import identify as fit
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.responses import load_motions
 
@@ -30,13 +31,15 @@ def identify(
     if not motions:
         raise CheckFailed(f"{log}: holds no velocity setpoints with velocities beside them; nothing can be identified")
     profile_of = _profiles(log)
-    table = Table("vehicle", "direction", "t63", "lag", "delay", "gain", "explained", title=f"{log.name}: how setpoints are followed")  # fmt: skip
+    table = Table(title=f"{log.name}: how setpoints are followed")
+    for heading in ("vehicle", "direction", "t63", "lag", "delay", "gain", "explained"):
+        table.add_column(heading)
     problems: dict[str, None] = {}
     vehicles: list[dict[str, Any]] = []
     for motion in motions:
         asked, done = motion.asked_enu_m_s.T, motion.done_enu_m_s.T
         axes = {name: fit([asked[k]], [done[k]]) for k, name in enumerate(_DIRECTIONS)}
-        axes["horizontal"] = fit(asked[:2], done[:2])
+        axes["horizontal"] = fit(list(asked[:2]), list(done[:2]))
         for name in ("horizontal", "up"):
             table.add_row(str(motion.sysid), name, *_cells(axes[name]))
             if axes[name].problem:

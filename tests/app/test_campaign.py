@@ -1,0 +1,386 @@
+"""Campaigns: what varies, the same table however it was flown, runs that can be had again, what goes wrong in one."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from groundstation.app import cli
+from groundstation.app.campaign.cases import Case, Cases, scattered
+from groundstation.app.campaign.report import to_markdown
+from groundstation.app.campaign.run import emulated, fly_case, lost_row
+from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
+from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
+from groundstation.app.campaign.table import SCHEMA
+from groundstation.app.campaign.vary import ExpectSpec, load_vary
+from groundstation.app.resources import packaged_configs
+from groundstation.app.verify import verify_log
+from groundstation.core.errors import UserError
+from sitl.faults import KINDS
+
+CONFIGS = packaged_configs()
+CUBE8 = CONFIGS / "missions" / "cube8.yaml"
+SHORT = """
+limit_s: 3
+settle_s: 0
+grid: {starts.kind: [pads, planar, volume]}
+emulator: {noise: {position_m: 0.02}, link: {delay_s: 0.05, loss: 0.02}}
+"""
+TETRAHEDRON = """
+set:
+  formation: ../formations/tetrahedron4.yaml
+  gains: ../gains/tetrahedron4.npz
+  avoidance.radius_m: 0.5
+  avoidance.activation_m: 0.6
+  steps.1.hold.seconds: 1
+"""
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _case(folder: Path, text: str, run: int = 0, seed: int = 1) -> Case:
+    return Cases(CUBE8, load_vary(_written(folder / "vary.yaml", text)), seed).case(run)
+
+
+def _gs(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["gs", *arguments])
+    code = 0
+    try:
+        cli.main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_a_killed_campaign_that_is_resumed_gives_the_same_bytes_and_every_run_can_be_had_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _written(tmp_path / "vary.yaml", SHORT)
+    common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--seed", "5", "--runs", "9", "--json"]
+    whole = [*common, "--workers", "1", "-o", "whole"]
+    code, out, _ = _gs(whole, monkeypatch, capsys)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["runs"], values["errors"]) == (0, 9, 0)
+    assert {"success_rate", "success_low", "success_high", "min_distance_m", "safety_radius_m",
+            "median_time_to_form_s", "worst"} <= set(values)  # fmt: skip
+    rows = pq.read_table("whole/runs.parquet").to_pylist()
+    assert [row["run"] for row in rows] == list(range(9))
+    assert [row["cell"] for row in rows[:4]] == ["pads", "planar", "volume", "pads"]
+    assert "wall_s" not in rows[0]
+    assert rows[0]["seed"] == rows[1]["seed"] != rows[3]["seed"]  # cells are compared on the same numbers
+    for picture in ("success.png", "time_to_form.png", "smallest_distance.png", "index.html", "summary.md"):
+        assert (tmp_path / "whole" / picture).stat().st_size > 0
+
+    # Killed with SIGKILL as its fifth row reaches the disk; in a thread of the process, and in another order of parts.
+    killed = [*common, "--workers", "0", "-o", "killed"]
+    script = f"""
+import os, signal, sys
+from groundstation.app import cli
+from groundstation.app.campaign.table import Table
+from groundstation.app.commands import campaign
+campaign._FLUSH_ROWS = 1
+real, seen = Table.append, []
+def append(table, rows):
+    real(table, rows)
+    seen.extend(rows)
+    if len(seen) >= 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+Table.append = append
+sys.argv = ["gs", *{killed!r}]
+cli.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False, timeout=300)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    assert not (tmp_path / "killed" / "runs.parquet").exists()
+    assert len(list((tmp_path / "killed" / "parts").glob("part-*.parquet"))) >= 1
+
+    code, _, err = _gs(killed, monkeypatch, capsys)
+    assert code == 2
+    assert "--resume" in err
+    code, _, err = _gs([*killed, "--resume", "--seed", "6"], monkeypatch, capsys)
+    assert code == 2
+    assert "another mission, seed or vary file" in err
+    code, out, err = _gs([*killed, "--resume"], monkeypatch, capsys)
+    assert code == 0
+    assert "5 are there already" in err
+    assert (tmp_path / "killed/runs.parquet").read_bytes() == (tmp_path / "whole/runs.parquet").read_bytes()
+
+    # The command that the summary gives flies that run again.
+    worst = values["worst"][0]
+    code, out, _ = _gs([*shlex.split(worst["replay"])[1:], "--json"], monkeypatch, capsys)
+    again = json.loads(out.splitlines()[-1])
+    there = rows[worst["run"]]
+    assert {key: again[key] for key in SCHEMA.names} == {
+        key: None if isinstance(value, float) and math.isnan(value) else value for key, value in there.items()
+    }
+    first = Path(again["log"]).read_bytes()
+    _gs([*shlex.split(worst["replay"])[1:], "--json"], monkeypatch, capsys)
+    assert Path(again["log"]).read_bytes() == first
+    assert len(first) > 1000
+
+
+def test_any_scheduler_by_its_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import distributed
+
+    monkeypatch.chdir(tmp_path)
+    _written(tmp_path / "vary.yaml", SHORT)
+    common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--runs", "3"]
+    package: Any = distributed
+    with package.LocalCluster(
+        1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as there:
+        code, _, _ = _gs([*common, "--scheduler", there.scheduler_address, "-o", "there"], monkeypatch, capsys)
+        assert code == 0
+    code, _, _ = _gs([*common, "--workers", "0", "-o", "here"], monkeypatch, capsys)
+    assert code == 0
+    assert (tmp_path / "there/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
+
+
+def test_starts_in_a_volume_end_where_they_began(tmp_path: Path) -> None:
+    case = _case(tmp_path, TETRAHEDRON + "starts: {kind: volume}\nverify: true\n")
+    pads = np.array([vehicle["pad_m"] for vehicle in case.mission["vehicles"]])
+    assert len(pads) == 4
+    assert np.ptp(pads[:, 2]) > 0.5
+    row = fly_case(case)
+    assert row["error"] == ""
+    assert (row["success"], row["safe"], row["end"]) == (True, True, "4 down")
+    assert (row["log_mismatches"], row["log_complete"]) == (0, True)
+    assert row["min_distance_m"] >= 0.5
+    assert row["start_distance_m"] >= 0.55
+    assert row["phases"] == "connect arm takeoff form hold return land done"
+
+
+@pytest.mark.parametrize(
+    ("cell", "fault", "struck_in"),
+    [
+        ("px4", "blackout", "form"),
+        ("arducopter", "battery_level, percent: 5", "hold"),
+        ("px4", "position_nan", "return"),
+    ],
+)
+def test_faults_strike_when_the_phase_is_really_entered(tmp_path: Path, cell: str, fault: str, struck_in: str) -> None:
+    text = f"""
+team: {{autopilot: {cell}, profile: crazyflie}}
+verify: true
+faults: {{what: {{kind: {fault}}}, phase: {struck_in}, within_s: 0.5}}
+starts: {{kind: planar}}
+"""
+    log = tmp_path / "run.tlog"
+    row = fly_case(_case(tmp_path, TETRAHEDRON + text), log)
+    assert row["error"] == ""
+    assert row["faults"] == fault.partition(",")[0]
+    assert row["fault_vehicle"] in (1, 2, 3, 4)
+    assert row["fault_at_s"] > 5.0
+    assert row["safe"], row
+    assert row["told"]
+    assert row["outcome"] == "aborted"
+    assert verify_log(log).mismatches == 0 == row["log_mismatches"]
+
+
+def test_the_fault_matrix_is_complete() -> None:
+    vary = load_vary(CONFIGS / "campaigns" / "faults.yaml")
+    cells = [vary.setting(cell.values) for cell in vary.cells]
+    seen = {(setting.team.autopilot, setting.faults.phase, setting.faults.what[0]["kind"]) for setting in cells}
+    phases = ("ground", "takeoff", "form", "hold", "return", "land")
+    assert seen >= {(a, p, kind) for a in ("px4", "arducopter") for p in phases for kind in KINDS}
+    assert len({cell.name for cell in vary.cells}) == len(vary.cells)
+
+
+@pytest.mark.parametrize("path", sorted((CONFIGS / "campaigns").glob("*.yaml")), ids=lambda path: path.stem)
+def test_campaigns_that_come_along_make_a_plan_in_every_cell(path: Path) -> None:
+    vary = load_vary(path)
+    assert vary.spec.mission is not None
+    cases = Cases(path.parent / vary.spec.mission, vary, 3)
+    for run in range(0, len(vary.cells), max(len(vary.cells) // 20, 1)):
+        case = cases.case(run)
+        plan = case.plan()
+        pads = np.linalg.norm(plan.pads_enu_m[:, None] - plan.pads_enu_m[None], axis=-1)
+        if case.setting.starts.kind != "pads":
+            assert pads[np.triu_indices(plan.size, 1)].min() >= 1.1 * plan.spec.avoidance.radius_m
+        assert emulated(case, plan).vehicles[0].streams == "quiet"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("startz: {kind: planar}", "startz: unknown key"),
+        ("starts: {kind: circle}", "starts.kind"),
+        ("grid: {startz.kind: [planar]}", "leads nowhere"),
+        ("grid: {limit_s.x: [1]}\nlimit_s: 3", "no keys below a single value"),
+        ("grid: {starts.kind: []}", "grid.starts.kind"),
+        ("choose: {emulator.link.loss: [0.1, 2]}", "emulator.link.loss"),
+        ("faults: {what: {kind: gremlin}, phase: form}", "'gremlin' is unknown"),
+        ("faults: {what: {kind: blackout}}", "go together"),
+        ("faults: {what: {kind: blackout, at_s: 3}, phase: form}", "at_s and vehicles are for timetable"),
+        ("emulator: {link: {loss: yes}}", "emulator.link.loss"),
+        ("runs: 0", "runs"),
+        ("set: {avoidance.radius_m: 0.9}", "avoidance.radius_m"),
+        ("set: {speed_limit: 3}", "speed_limit"),
+        ("team: {profile: zeppelin}", "zeppelin is not known"),
+        ("starts: {kind: planar, spread: 1.0, apart: 6}", "no room for 8 vehicles"),
+        ("faults: {timetable: [{kind: blackout, at_s: 1, vehicles: [99]}]}", "99 is not among"),
+    ],
+)  # fmt: skip
+def test_a_wrong_vary_file_is_told_before_anything_flies(tmp_path: Path, text: str, words: str) -> None:
+    def prepare() -> None:
+        case = _case(tmp_path, text)
+        emulated(case, case.plan())
+
+    with pytest.raises(UserError) as told:
+        prepare()
+    assert words in str(told.value)
+
+
+def test_what_is_drawn_per_run_follows_from_the_seed(tmp_path: Path) -> None:
+    text = """
+choose: {emulator.link.loss: [0, 0.1], set.speed_limit_m_s: [0.3, 0.4, 0.5]}
+faults: {within_s: 2, phase: form, what: [{kind: reboot}]}
+"""
+    vary = load_vary(_written(tmp_path / "vary.yaml", text))
+    first, again = (Cases(CUBE8, vary, 8) for _ in range(2))
+    other = Cases(CUBE8, vary, 9)
+    cases = [first.case(run) for run in range(20)]
+    assert cases == [again.case(run) for run in range(20)]
+    assert len({case.drawn for case in cases}) > 3
+    assert len({(case.victim, case.delay_s) for case in cases}) > 15
+    assert [case.seed for case in cases] != [other.case(run).seed for run in range(20)]
+    assert first.fingerprint() == again.fingerprint() != other.fingerprint()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    count=st.integers(2, 12),
+    side=st.floats(2.0, 6.0),
+    flat=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_starts_are_apart_and_inside(count: int, side: float, flat: bool, seed: int) -> None:
+    low, high = np.zeros(3), np.array([side, side, 0.0 if flat else side])
+    apart = 0.55 * side / math.sqrt(count)
+    points = scattered(count, low, high, apart, np.random.default_rng(seed))
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(count, 1)]
+    assert points.shape == (count, 3)
+    assert distances.min() >= apart
+    assert (points >= low).all()
+    assert (points <= high).all()
+
+
+def test_whatever_goes_wrong_in_a_run_becomes_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = _case(tmp_path, SHORT)
+    broken = replace(case, mission={**case.mission, "rate_hz": 1})
+    row = fly_case(broken)
+    assert "rate_hz" in row["error"]
+    assert set(row) == set(SCHEMA.names)
+    monkeypatch.setattr("groundstation.app.campaign.run.Runner", lambda *_: 1 / 0)
+    row = fly_case(case)
+    assert row["error"].startswith("ZeroDivisionError: ")
+    assert "test_campaign.py" in row["error"]
+    assert set(lost_row(case, "gone")) == set(SCHEMA.names)
+
+
+class _Future:
+    def __init__(self, outcome: Any) -> None:
+        self.outcome = outcome
+
+    def add_done_callback(self, call: Any) -> None:
+        call(self)
+
+    def result(self) -> Any:
+        if isinstance(self.outcome, Exception):
+            raise self.outcome
+        return self.outcome
+
+    def release(self) -> None:
+        pass
+
+
+class _Client:
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def nthreads(self) -> dict[str, int]:
+        return {"a": 1}
+
+    def submit(self, _function: Any, case: Case, *, pure: bool) -> _Future:
+        assert not pure
+        self.asked.append(case.run)
+        return _Future(RuntimeError("KilledWorker") if case.run == 2 else {"run": case.run})
+
+
+def test_a_lost_worker_costs_one_row_and_an_interrupt_no_row(tmp_path: Path) -> None:
+    case = _case(tmp_path, SHORT)
+    client, interrupted = _Client(), Interrupted()
+    rows: list[dict[str, Any]] = []
+    cases: Iterator[Case] = (replace(case, run=run) for run in range(7))
+    spread(cases, DaskFlyer(client), rows.extend, interrupted)
+    assert sorted(row["run"] for row in rows) == list(range(7))
+    assert [row["error"] for row in rows if row["run"] == 2] == ["RuntimeError: KilledWorker"]
+
+    client = _Client()
+    rows.clear()
+
+    def keep(more: list[dict[str, Any]]) -> None:
+        rows.extend(more)
+        interrupted.asked = True
+
+    spread((replace(case, run=run) for run in range(1000)), DaskFlyer(client), keep, interrupted)
+    assert len(rows) >= 1
+    assert max(client.asked) < 10
+
+
+def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> None:
+    assert interval(1000, 1000)[0] == pytest.approx(0.025 ** (1 / 1000))
+    assert interval(1000, 1000)[1] == 1.0
+    assert interval(0, 10)[1] == pytest.approx(1 - 0.025**0.1)
+    blank = lost_row(_case(tmp_path, SHORT), "")
+    good = {**blank, "success": True, "formed": True, "safe": True, "ended_safely": True, "outcome": "completed",
+            "min_distance_m": 0.6, "min_obedient_m": 0.6, "safety_radius_m": 0.45, "time_to_form_s": 5.0}  # fmt: skip
+    slow = {**good, "run": 1, "time_to_form_s": 9.0}
+    near = {
+        **good,
+        "run": 2,
+        "min_distance_m": 0.4,
+        "min_obedient_m": 0.4,
+        "nearest_pair": "1-2",
+        "success": False,
+        "safe": False,
+    }
+    failed = {**blank, "run": 3, "error": "UserError: no"}
+    values = summarise([good, slow, near, failed], ["", ""], lambda run: f"again {run}")
+    assert [item["run"] for item in values["worst"]] == [3, 2, 1, 0]
+    assert values["worst"][1]["why"] == "distance 0.400 m between 1-2, r is 0.45 m"
+    assert (values["runs"], values["success_rate"], values["below_r"], values["errors"]) == (4, 0.5, 1, 1)
+    assert values["median_time_to_form_s"] == 5.0
+    assert [cell["runs"] for cell in values["cells"]] == [2, 2]
+    assert "9.0 s" in why(slow)
+    bars = ExpectSpec(success_rate=0.5, below_r=0, safe_rate=0.9)
+    assert missed(values, bars) == ["safe_rate is 0.5, expected 0.9 at least", "below_r is 1, expected 0 at most"]
+    assert missed(figures([good]), bars) == []
+    struck = [{**good, "faults": "reboot", "fault_phase": phase, "told": True} for phase in ("form", "land", "land")]
+    struck[2]["safe"] = False
+    values = summarise(struck, [""], lambda run: f"again {run}")
+    assert values["matrix"] == {"reboot": {"form": [1, 1], "land": [1, 2]}}
+    assert "| reboot | 1 of 1 | 1 of 2 |" in to_markdown(values)

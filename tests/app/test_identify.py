@@ -1,0 +1,101 @@
+"""``gs identify`` on flights of the emulator, whose response is known."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from groundstation.app import cli
+from groundstation.app.campaign.cases import Cases
+from groundstation.app.campaign.run import fly_case
+from groundstation.app.campaign.vary import load_vary
+from groundstation.app.emulator import world_config
+from groundstation.core.errors import UserError
+from tests.app.flights import CUBE8, cube8
+
+
+def _flown(folder: Path, profile: str, autopilot: str) -> Path:
+    """A flight of four, a metre and a half from where they form."""
+    vary = folder / "vary.yaml"
+    vary.write_text(
+        f"""
+team: {{profile: {profile}, autopilot: {autopilot}}}
+starts: {{kind: planar, spread: 6}}
+emulator: {{noise: {{position_m: 0.01, velocity_m_s: 0.02}}}}
+set:
+  formation: ../formations/tetrahedron4.yaml
+  gains: ../gains/tetrahedron4.npz
+  avoidance.radius_m: 0.4
+  avoidance.activation_m: 0.5
+  steps.0.form.tolerance_m: 0.1
+  steps.1.hold.seconds: 1
+""",
+        encoding="utf-8",
+    )
+    log = folder / f"{profile}.tlog"
+    row = fly_case(Cases(CUBE8, load_vary(vary), 4).case(0), log)
+    assert row["success"], row
+    return log
+
+
+@pytest.mark.parametrize(
+    ("profile", "t63_s", "tolerance_s"),
+    [
+        ("crazyflie", 0.23, 0.03),
+        ("arducopter", 0.90, 0.05),
+        ("px4_quad", 1.05, 0.25),  # it creeps over the last fifth for many seconds
+    ],
+)
+def test_profiles_are_found_in_their_flights(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    profile: str,
+    t63_s: float,
+    tolerance_s: float,
+) -> None:
+    log = _flown(tmp_path, profile, "arducopter" if profile == "arducopter" else "px4")
+    monkeypatch.setattr(sys, "argv", ["gs", "identify", str(log), "--json"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert not ended.value.code
+    values = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert values["identified"] >= 3
+    for vehicle in values["vehicles"]:
+        if vehicle["t63_s"] is not None:
+            assert vehicle["t63_s"] == pytest.approx(t63_s, abs=tolerance_s)
+            assert vehicle["profile"] == profile
+    (line,) = values["profiles"]
+    assert line.startswith(f"{profile}: {{lag_s: ")
+
+
+def test_a_log_in_which_nothing_moves_is_refused_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vary = tmp_path / "vary.yaml"
+    vary.write_text("limit_s: 4\nsettle_s: 0\n", encoding="utf-8")
+    log = tmp_path / "short.tlog"
+    fly_case(Cases(CUBE8, load_vary(vary), 4).case(0), log)
+    monkeypatch.setattr(sys, "argv", ["gs", "identify", str(log)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    assert "no vehicle could be identified" in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_a_mission_takes_identified_values() -> None:
+    plain = cube8()
+    plan = cube8("profiles={crazyflie: {lag_s: 0.3, delay_s: 0.12}}")
+    assert plan.profile.lag_s == 0.3
+    assert plan.profile.delay_s - plain.profile.delay_s == pytest.approx(0.07)
+    assert plan.control_gain < plain.control_gain
+    assert plan.record()["profiles"] == {"crazyflie": {"lag_s": 0.3, "delay_s": 0.12}}
+    own = cube8("profiles={slow: {like: crazyflie, lag_s: 0.5}}", "vehicles.2.profile=slow")
+    assert own.profile.lag_s == 0.5
+    assert world_config(own).vehicles[2].profile == "crazyflie"
+    with pytest.raises(UserError, match=r"profiles\.slow\.like: slow is not known"):
+        cube8("profiles={slow: {lag_s: 0.5}}")
