@@ -126,13 +126,11 @@ class Monitor:
     def _take(self, finding: Finding, findings: Findings, sight: Sight) -> None:
         """Puts a finding into words and lists."""
         rows, reaction = list(finding.vehicles), finding.reaction
+        known = all(self.blind[row] or self._gone[row] for row in rows) and bool(rows)
         if finding.lost:
-            # Of a link that is silent altogether every vehicle was told at once; of one vehicle every reason is.
-            if len(rows) == 1 and self.blind[rows[0]]:
-                return
             self._lost_ns[rows] = np.where(self.blind[rows], self._lost_ns[rows], sight.now_ns)
             self.blind[rows] = True
-        if reaction is Reaction.HOME and all(self.blind[row] or self._gone[row] for row in rows):
+        if known and (finding.lost or reaction is Reaction.HOME):
             reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
         consequence = _CONSEQUENCES[reaction][sight.going_on]
         subject = f"vehicle {sight.fleet.sysid[rows[0]]}: " if len(rows) == 1 else ""

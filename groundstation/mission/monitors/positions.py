@@ -126,7 +126,7 @@ class PoseAge:
         for vehicle in self._old(self.hold, sight.now_ns):
             what = f"position is {age_ns[vehicle] / SECOND_NS:.2f} s old, limit {self._limits.pose_age_s:.2f} s"
             yield Finding(Reaction.HOLD, what, (vehicle,))
-        lost = (age_ns > self._limits.pose_lost_s * SECOND_NS) & ours & ~sight.excused
+        lost = (age_ns > self._limits.pose_lost_s * SECOND_NS) & ours & ~sight.excused & ~sight.blind
         for vehicle in self._lost(lost, sight.now_ns):
             yield Finding(Reaction.LAND, f"no position for {self._limits.pose_lost_s:g} s", (vehicle,), lost=True)
 
@@ -148,7 +148,8 @@ class Frozen:
         same = (fleet.pos_local_ned_m == self._pos).all(axis=1)
         self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
         self._pos, self._pose_ns = fleet.pos_local_ned_m.copy(), fleet.pose_ns.copy()
-        frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours & ~sight.excused
+        frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours
+        frozen &= ~sight.excused & ~sight.blind
         for vehicle in self._lasting(frozen, sight.now_ns):
             what = f"its position has not changed by a bit in {_FROZEN_S:g} s"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
@@ -203,7 +204,7 @@ class Tilt:
         quat = sight.fleet.quat_ned_from_frd
         cosine = np.clip(1.0 - 2.0 * (quat[:, 1] ** 2 + quat[:, 2] ** 2), -1.0, 1.0)
         tilt_deg = np.degrees(np.arccos(cosine))
-        tilted = (tilt_deg > self._limit_deg) & sight.airborne & ours & ~sight.excused
+        tilted = (tilt_deg > self._limit_deg) & sight.airborne & ours & ~sight.excused & ~sight.blind
         for vehicle in self._lasting(tilted, sight.now_ns):
             what = f"is tilted by {tilt_deg[vehicle]:.0f} degrees, limit {self._limit_deg:g} degrees"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
