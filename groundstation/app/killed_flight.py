@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -32,7 +32,7 @@ _SECOND_NS = 1_000_000_000
 _LOOK_S = 0.01
 _SETTLED_NS = 3 * _SECOND_NS // 2  # after the deed: an arming that is under way shows by then
 _LIMIT_NS = 200 * _SECOND_NS
-_EXIT_S = 30.0
+_EXIT_NS = 30 * _SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,11 @@ def fly_and(
             if process.poll() is not None:
                 ended_ns = times.setdefault("ended", now_ns)
                 if watched.down and now_ns - ended_ns >= _SETTLED_NS:
-                    times.setdefault("down", now_ns)
-                    stop.set()
+                    down_ns = times.setdefault("down", now_ns)
+                    # Whoever took over wants to hear that they are disarmed.
+                    late = now_ns - down_ns >= _EXIT_NS
+                    if late or all(successor.poll() is not None for successor in successors):
+                        stop.set()
                 elif not watched.down and not successors and now_ns - ended_ns >= take_over_s * _SECOND_NS:
                     pilots = zip(world.autopilots, world.truth.airborne, strict=True)
                     modes = tuple(sorted({pilot.mode_name() for pilot, airborne in pilots if airborne}))
@@ -188,9 +191,6 @@ def fly_and(
         server.run(stop, look, _LOOK_S)
         take_over_code = None
         for successor in successors:
-            if "down" in times:  # its last look at the vehicles takes a moment
-                with suppress(subprocess.TimeoutExpired):
-                    successor.wait(_EXIT_S)
             take_over_code = successor.poll()
         exit_code = process.poll()
     deed_ns = times.get("deed", world.now_ns)
