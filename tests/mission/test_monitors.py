@@ -314,6 +314,15 @@ def test_a_vehicle_that_leaves_is_released_after_two_heartbeats_and_said_nothing
     assert scene.run(3.0, scene.status) == []
 
 
+def test_who_was_never_ours_is_an_obstacle_and_no_more() -> None:
+    scene = Scene()
+    scene.monitor.leave(np.arange(8) == 6)
+    scene.fleet.custom_mode[6], scene.fleet.battery_remaining[6] = LOITER, 0.01
+    scene.pos[6, 0] = 9.0
+    assert scene.run(4.0, scene.status) == []
+    assert scene.obstacle_m()[6] > 0.0
+
+
 def test_who_lands_at_our_word_may_leave_the_mode_and_is_no_obstacle() -> None:
     scene = Scene()
     scene.excused[3] = True
@@ -459,6 +468,15 @@ def test_two_vehicles_below_r_bring_everybody_back() -> None:
     assert scene.run(0.2) == []
     (found,) = scene.run(0.5)
     assert found.abort == "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
+
+
+def test_safety_regions_of_other_shapes_have_words_of_their_own() -> None:
+    scene = Scene("avoidance={radius_m: 0.45, activation_m: 0.5, shape: cylinder, half_height_m: 0.6}")
+    scene.pos[1] = scene.pos[0] + [0.1, 0.0, 0.5]
+    (found,) = scene.run(0.5)
+    assert found.abort == (
+        "vehicles 1 and 2: 0.51 m apart, 83% of what their safety region asks for; everybody comes back"
+    )
 
 
 def test_standing_still_and_a_slow_ground_station_bring_everybody_back() -> None:
