@@ -63,7 +63,8 @@ def run(out: Output, runs: int = 50, seed: int = 1) -> dict[str, float | int | s
             taken = f"held in {', '.join(flight.modes)} and was taken over" if flight.modes else "was down"
             out.console.print(
                 f"seed {number}: killed after {flight.after_s:.1f} s in {flight.phase}, {taken}, all down"
-                f" {flight.down_s:.1f} s later, smallest distance {flight.min_distance_m:.3f} m, log"
+                f" {flight.down_s:.1f} s later, smallest distance {flight.min_distance_m:.3f} m"
+                f" ({flight.before_m:.3f} m before), log"
                 f" {'readable' if readable(flight) else 'BAD'} ({flight.setpoints} setpoints, {flight.log_lost_s:.2f} s"
                 f" lost, emulator late {flight.late_s:.1f} s) {flight.log_message}{'' if is_safe else '  NOT SAFE'}"
             )

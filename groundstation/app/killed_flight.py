@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -32,7 +32,7 @@ _SECOND_NS = 1_000_000_000
 _LOOK_S = 0.01
 _SETTLED_NS = 3 * _SECOND_NS // 2  # after the deed: an arming that is under way shows by then
 _LIMIT_NS = 200 * _SECOND_NS
-_EXIT_S = 30.0
+_EXIT_NS = 30 * _SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class KilledFlight:
         after_s: from the emulator hearing the ground station for the first time to the deed.
         modes: modes that the vehicles in the air were in when the take-over began, each once; empty without one.
         down_s: from the deed to everybody being disarmed on the ground; NaN when that did not happen.
-        min_distance_m: smallest true distance of two vehicles of which at least one is in the air, whole flight.
+        before_m: smallest true distance of two vehicles of which at least one is in the air, until the deed.
+        min_distance_m: the same of the whole flight.
         exit_code: of the process; negative for a signal, None when it had to be ended.
         take_over_code: exit code of the one that took over; None where there was none, or it had to be ended.
         log_message: what of the log could not be read, "" when all of it is whole.
@@ -59,6 +60,7 @@ class KilledFlight:
     after_s: float
     modes: tuple[str, ...]
     down_s: float
+    before_m: float
     min_distance_m: float
     exit_code: int | None
     take_over_code: int | None
@@ -146,6 +148,7 @@ def fly_and(
     stop = Event()
     times: dict[str, int] = {}
     modes: tuple[str, ...] = ()
+    before_m = float("inf")
     successors: list[subprocess.Popen[bytes]] = []
     with (
         Server(world_config(plan, seed), seed, port=port) as server,
@@ -159,19 +162,23 @@ def fly_and(
         began_ns = world.now_ns
 
         def look(_server: Server) -> None:
-            nonlocal modes
+            nonlocal modes, before_m
             watched.look()
             now_ns = world.now_ns
             if "deed" not in times and watched.flying_s >= 0.0 and when(watched):
                 deed(watched)
                 times["deed"], times["late"] = now_ns, server.late_ns
+                before_m = watched.min_distance_m
             if "deed" in times and then is not None:
                 then(watched)
             if process.poll() is not None:
                 ended_ns = times.setdefault("ended", now_ns)
                 if watched.down and now_ns - ended_ns >= _SETTLED_NS:
-                    times.setdefault("down", now_ns)
-                    stop.set()
+                    down_ns = times.setdefault("down", now_ns)
+                    # Whoever took over wants to hear that they are disarmed.
+                    late = now_ns - down_ns >= _EXIT_NS
+                    if late or all(successor.poll() is not None for successor in successors):
+                        stop.set()
                 elif not watched.down and not successors and now_ns - ended_ns >= take_over_s * _SECOND_NS:
                     pilots = zip(world.autopilots, world.truth.airborne, strict=True)
                     modes = tuple(sorted({pilot.mode_name() for pilot, airborne in pilots if airborne}))
@@ -184,9 +191,6 @@ def fly_and(
         server.run(stop, look, _LOOK_S)
         take_over_code = None
         for successor in successors:
-            if "down" in times:  # its last look at the vehicles takes a moment
-                with suppress(subprocess.TimeoutExpired):
-                    successor.wait(_EXIT_S)
             take_over_code = successor.poll()
         exit_code = process.poll()
     deed_ns = times.get("deed", world.now_ns)
@@ -195,6 +199,7 @@ def fly_and(
         after_s=watched.flying_s - (world.now_ns - deed_ns) / _SECOND_NS,
         modes=modes,
         down_s=(times["down"] - deed_ns) / _SECOND_NS if "down" in times else float("nan"),
+        before_m=before_m,
         min_distance_m=watched.min_distance_m,
         exit_code=exit_code,
         take_over_code=take_over_code,

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from groundstation.mission.plan import MissionPlan
 
 _STEP_M = 0.1
+_SAME_M = 1e-6
 _ABOVE = 0.25  # of a level: what the formation may stand higher than planned
 _SETTLE_S = 5.0  # to speed up and to stop, twice
 _SPARE_S = 2.0
@@ -139,6 +140,23 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
     )
     words = f"when the ground station is gone: {words}"
     return FailsafePlan(action, roles, wishes, stacked, down_s, words, problem)
+
+
+def out_of_turn(failsafe: FailsafePlan, heights_m: FloatArray) -> list[tuple[int, int]]:
+    """Pairs of vehicles of which the first is to leave before the second, though the second flies higher.
+
+    Roles that were exchanged in flight bring that about: the first one might climb into the second.
+
+    Args:
+        failsafe: with everybody's turn.
+        heights_m: how high each vehicle's role is now, shape (n,).
+    """
+    if failsafe.action != "return":
+        return []
+    after_s = np.array([wish.after_s for wish in failsafe.wishes])
+    sooner = after_s[:, None] < after_s[None, :]
+    lower = heights_m[:, None] < heights_m[None, :] - _SAME_M
+    return [(int(i), int(j)) for i, j in np.argwhere(sooner & lower)]
 
 
 def _stacked(points_enu_m: FloatArray, clearance_m: float) -> bool:

@@ -87,8 +87,9 @@ def check_radius(
             if not isinstance(region, SafetySphere):
                 raise UserError(
                     f"{r} with the {region.name} cannot be kept with {positioning} positions: two of them may be"
-                    f" {margin:.2f} m off against each other, and around the {region.name} the {what} leave"
-                    f" {max(room_m, 0.0):.2g} m; lower radius_m or half_height_m, or move further apart"
+                    f" {margin:.2f} m off against each other, and around the {region.name} there are"
+                    f" {max(room_m, 0.0):.2g} m of room in the {what}; lower radius_m or half_height_m,"
+                    " or move further apart"
                 )
             shortest = room_m + region.radius_m
             able = math.floor(100.0 * (shortest - margin) - 1e-9) / 100.0

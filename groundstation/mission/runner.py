@@ -24,7 +24,7 @@ from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
 from groundstation.mission.check_table import CheckRow
 from groundstation.mission.climb import Climb
-from groundstation.mission.failsafe import FailsafePlan
+from groundstation.mission.failsafe import FailsafePlan, out_of_turn
 from groundstation.mission.formation_flight import FormationFlight
 from groundstation.mission.guidance import Guide, Poses
 from groundstation.mission.killing import Killing
@@ -122,6 +122,7 @@ class Runner:
         self._resume_to = Phase.CONNECT
         self._resume_phase_ns = start_ns
         self._lands_here = False
+        self._out_of_turn: list[tuple[int, int]] = []
         self._spoken_to = False  # after silence: the operator wants something of the vehicles again
         self._homing: BoolArray = np.zeros(n, dtype=np.bool_)
         self._home_since_ns = np.full(n, NEVER, dtype=np.int64)
@@ -373,6 +374,7 @@ class Runner:
 
     def _formation(self, now_ns: int, poses: Poses) -> FloatArray:
         tick = self._flight.step(now_ns, poses, self._absent())
+        self._tell_out_of_turn()
         if tick.give_up:
             self._give_up(tick.give_up, now_ns)
         elif tick.enter is not None:
@@ -380,6 +382,20 @@ class Runner:
         if not self._flight.gone.any():
             return tick.vel_ned_m_s
         return np.where(self._flight.gone[:, None], self._fly_apart(now_ns, poses), tick.vel_ned_m_s)
+
+    def _tell_out_of_turn(self) -> None:
+        """Tells once that vehicles have exchanged roles for which the autopilots' turns to return are wrong."""
+        roles = self._flight.role_of_agent
+        if self._out_of_turn or np.array_equal(roles, self.failsafe.roles):
+            return
+        self._out_of_turn = out_of_turn(self.failsafe, self._flight.formation.points_enu_m[roles, 2])
+        if self._out_of_turn:
+            names = (f"{self.fleet.sysid[i]} below {self.fleet.sysid[j]}" for i, j in self._out_of_turn[:4])
+            self._note(
+                "alarm",
+                f"roles were exchanged, vehicle {', '.join(names)}: should the ground station be lost now, who is below"
+                " would return first; take over at once in that case",
+            )
 
     def _fly_apart(self, now_ns: int, poses: Poses) -> FloatArray:
         """Those that no longer fly the formation: home, where they land, or standing where they are to land."""

@@ -62,7 +62,7 @@ def test_fix_sets_what_a_check_before_has_refused(
     ("changes", "words"),
     [
         (["gains=../gains/pyramid6.npz"], "gains"),
-        (["avoidance.radius_m=1.2", "avoidance.activation_m=1.3"], "minimum is more than 1.2 m (avoidance.radius_m)"),
+        (["avoidance.radius_m=1.2", "avoidance.activation_m=1.3"], "minimum is 1.2 m (avoidance.radius_m)"),
         (["fence.max_m=[0.5,0.5,3]"], "fence"),
         (["vehicles.1.pad_m=[-1,-0.8,0]"], "minimum is 0.45 m (avoidance.radius_m)"),
         (["vehicles.1.id=1"], "is the id of vehicles[0] too"),

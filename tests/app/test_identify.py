@@ -44,7 +44,7 @@ set:
 @pytest.mark.parametrize(
     ("profile", "t63_s", "tolerance_s"),
     [
-        ("crazyflie", 0.23, 0.03),
+        ("crazyflie", 0.23, 0.04),
         ("arducopter", 0.90, 0.05),
         ("px4_quad", 1.05, 0.25),  # it creeps over the last fifth for many seconds
     ],

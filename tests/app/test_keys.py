@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.app.keys import HELP, KeyDialogue, Keyboard
+from groundstation.app.keys import HELP, Keyboard, KeyDialogue
 from groundstation.app.session import Session
 from groundstation.mission.operator import parse_command
 from groundstation.mission.runner import Runner
@@ -91,10 +91,16 @@ def _modes(descriptor: int) -> list[object]:
 def test_the_terminal_is_as_it_was_however_the_flight_ends(terminal: tuple[int, int]) -> None:
     _, near = terminal
     before = _modes(near)
-    with pytest.raises(ZeroDivisionError), Keyboard(near, IDS) as keyboard:
-        assert _modes(near) != before
-        assert keyboard.sources() == (near,)
-        raise ZeroDivisionError
+    keyboard = Keyboard(near, IDS)
+
+    def fly() -> None:
+        with keyboard:
+            assert _modes(near) != before
+            assert keyboard.sources() == (near,)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fly()
     assert _modes(near) == before
     assert keyboard.sources() == ()
 

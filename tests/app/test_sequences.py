@@ -136,7 +136,7 @@ def test_a_gridlocked_team_forms_is_counted_and_replayed(swaps: bool, tmp_path: 
 def test_a_move_that_would_leave_the_fence_from_where_the_team_is_does_not_begin() -> None:
     plan = cube8("steps=[form: {}, move: {by_m: [0.5, 0, 0]}]")
     # As if the team had drifted: what was judged by the pads is judged again by where everybody is.
-    too_far = replace(plan, moves={1: replace(plan.moves[1], by_enu_m=np.array([2.5, 0.0, 0.0]), seconds=20.0)})
+    too_far = replace(plan, moves={1: replace(plan.moves[1], by_enu_m=np.array([4.0, 0.0, 0.0]), seconds=40.0)})
     flight = Flight(too_far, seed=1)
     assert flight.runner.outcome == "aborted"
     assert "move not begun: it would take vehicle" in flight.runner.reason

@@ -117,7 +117,8 @@ def test_vehicles_that_know_no_date_are_given_ours_and_fly(key_file: Path) -> No
         return flight.runner.phase is Phase.TAKEOFF
 
     flight = Flight(_pair(key_file), change=no_gps, prepare=prepare, interrupt_when=up)
-    assert (flight.runner.outcome, flight.runner.reason) == ("aborted", "stopped by the operator")
+    assert flight.runner.outcome == "aborted"
+    assert flight.runner.reason.startswith("stopped by the operator")
     assert flight.gate is not None
     assert flight.gate.totals()["frames with an old time stamp"] > 0
 

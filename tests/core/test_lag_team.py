@@ -13,6 +13,7 @@ import pytest
 
 from groundstation.core import control, metrics
 from groundstation.core.formation import Formation, Gains
+from groundstation.mission.positioning import margin_m
 from tests.core.lag_team import (
     CRAZYFLIE,
     KINEMATIC,
@@ -168,6 +169,35 @@ def test_bodies_that_always_lean_settle_near_the_formation(degrees: float, error
     start = random_start(rng, 8, 3.0, 0.495, planar=False)
     flight = fly(chain, CRAZYFLIE, start, rng, seconds=20.0, frame_tilt_rad=np.radians(degrees), stop_when_formed=False)
     assert flight.error_m <= error_m
+
+
+@pytest.mark.parametrize(
+    ("profile", "shape", "half_m", "rotate"),
+    [(CRAZYFLIE, "cylinder", 0.6, True), (CRAZYFLIE, "cylinder", 0.25, False), (PX4_QUAD, "ellipsoid", 0.75, True)],
+)
+def test_regions_of_other_shapes_are_kept_out_of(profile: Profile, shape: str, half_m: float, rotate: bool) -> None:
+    """Fixed roles, so that ways cross: nobody enters, and many come near."""
+    rng = np.random.default_rng(17)
+    chain = dataclasses.replace(CHAIN, control_gain=0.15, lead_s=0.75 * profile.tau_s, upright_1_s=1.0, widen=True)
+    chain = with_damper(profile, dataclasses.replace(chain, shape=shape, half_height_m=half_m, rotate=rotate), 0.02)
+    clearance = 0.0
+    while clearance < 1.3:
+        start = random_start(rng, 8, 3.0, 0.6, planar=False)
+        clearance = float(chain.region.clearance((start[:, None] - start[None])[np.triu_indices(8, 1)]).min())
+    flight = fly(chain, profile, start, rng, seconds=6.0, roles=rng.permutation(8), stop_when_formed=False)
+    assert 1.0 <= flight.min_clearance < 1.25
+
+
+def test_errors_that_last_are_covered_by_the_margin_that_they_ask_for() -> None:
+    """Two centimetres for a second, more delay, lost reports and commands."""
+    vehicle = dataclasses.replace(CRAZYFLIE, delay_s=0.1, pos_noise_m=0.001, bias_m=0.02, bias_tau_s=1.0, loss=0.02)
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        start = random_start(rng, 8, 3.0, 0.495, planar=seed % 2 == 0)
+        chain = dataclasses.replace(CHAIN, control_gain=0.15, widen=True)
+        chain = with_damper(vehicle, chain, margin_m(0.02))
+        roles = rng.permutation(8)
+        assert fly(chain, vehicle, start, rng, seconds=10.0, roles=roles).min_distance_m >= 0.45
 
 
 def test_the_same_seed_gives_the_same_flight() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from groundstation.app.resources import packaged_configs
 from groundstation.mission.battery_need import battery_needs, flight_time_s
-from groundstation.mission.failsafe import make_failsafe
+from groundstation.mission.failsafe import make_failsafe, out_of_turn
 from groundstation.mission.plan import MissionPlan, load_mission
 from groundstation.mission.standing import pad_words, too_near, wrong_pad
 
@@ -39,6 +39,25 @@ def test_who_is_higher_goes_first_and_every_height_is_its_own(name: str) -> None
     assert (turns + waits >= turns.max()).all()
     assert waits.max() <= 60.0
     assert turns.max() <= 110.0
+
+
+def test_roles_that_were_exchanged_are_out_of_turn_only_between_heights() -> None:
+    plan = _mission("cube8")
+    failsafe = make_failsafe(plan)
+    heights = plan.formation.points_enu_m[failsafe.roles, 2]
+    assert out_of_turn(failsafe, heights) == []
+    upper, lower = np.flatnonzero(heights == 1.0), np.flatnonzero(heights == 0.0)
+    assert out_of_turn(failsafe, heights[_exchanged(8, int(upper[0]), int(upper[1]))]) == []
+    pairs = out_of_turn(failsafe, heights[_exchanged(8, int(upper[0]), int(lower[0]))])
+    assert (int(upper[0]), int(lower[0])) in pairs
+    assert all(i == upper[0] or j == lower[0] for i, j in pairs)
+    assert out_of_turn(make_failsafe(_mission("cube8", "failsafe.ceiling_m=3")), heights[::-1]) == []
+
+
+def _exchanged(n: int, i: int, j: int) -> list[int]:
+    order = list(range(n))
+    order[i], order[j] = j, i
+    return order
 
 
 def test_roles_are_known_from_the_pads() -> None:

@@ -89,7 +89,7 @@ def test_large_teams_are_guided_as_small_ones_are(monkeypatch: pytest.MonkeyPatc
             np.asarray(rng.random(8) < 0.2, dtype=np.bool_),
             extra_radius_m=extra,
         )
-        # In a small team the law, too, takes those that sink where the avoidance takes them; in a large one it does not.
+        # In a small team the law takes those that sink where the avoidance takes them; in a large one it does not.
         calm = dataclasses.replace(poses, sinking=np.zeros(8, dtype=np.bool_))
         course = Course(plan.stages[0], plan.control_gain, plan.formation.points_enu_m)
         told = []

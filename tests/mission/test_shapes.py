@@ -52,7 +52,7 @@ def test_the_shape_is_in_the_record() -> None:
         (
             ["avoidance.shape=cylinder", "avoidance.half_height_m=0.97"],
             "the cylinder cannot be kept with mocap positions: two of them may be 0.04 m off against each other, and"
-            " around the cylinder the formation cube8 leave 0.03 m; lower radius_m or half_height_m",
+            " around the cylinder there are 0.03 m of room in the formation cube8; lower radius_m or half_height_m",
         ),
     ],
 )
