@@ -217,12 +217,19 @@ class Runner:
         poses = self._frame.poses(self.fleet, now_ns)
         lines, self._lines = self._lines, []
         for line in lines:
-            self._obey(line, poses, now_ns)
+            try:
+                self._obey(line, poses, now_ns)
+            except Exception as error:
+                self._fault(error, now_ns)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
-            poses = self._watch(out_of_sight(poses), now_ns)
-            self._measure(poses)
+            poses = out_of_sight(poses)
+            try:
+                poses = self._watch(poses, now_ns)
+                self._measure(poses)
+            except Exception as error:
+                self._fault(error, now_ns)
         standing: BoolArray = np.zeros(n, dtype=np.bool_)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
@@ -247,11 +254,7 @@ class Runner:
         return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
-        """One tick of a phase in the air: the only place where a fault in our own mathematics is caught.
-
-        Whatever goes wrong there, the vehicles get a setpoint: to stand still. The team comes back, and where that
-        fails too it stands still until the time for it is over and then lands.
-        """
+        """One tick of a phase in the air; whatever goes wrong here, the vehicles get a setpoint: to stand still."""
         try:
             if self.phase is Phase.TAKEOFF:
                 return self._takeoff(now_ns, poses)
@@ -267,13 +270,20 @@ class Runner:
             if now_ns - self._phase_ns >= _STOP_NS:
                 self._enter(Phase.RETURN, now_ns)
         except Exception as error:
-            self._faults += 1
-            text = f"fault in the ground station, {type(error).__name__}: {error}"
-            if self._faults <= _FAULTS_NOTED:
-                self._note("alarm", f"{text}; standing still")
+            self._fault(error, now_ns)
             self._guide.rest()
-            self._give_up(text, now_ns)
         return np.zeros((self.plan.size, 3))
+
+    def _fault(self, error: Exception, now_ns: int) -> None:
+        """A fault in our own mathematics, in flight: the team comes back.
+
+        Where that fails too it stands still until the time for it is over, and then lands.
+        """
+        self._faults += 1
+        text = f"fault in the ground station, {type(error).__name__}: {error}"
+        if self._faults <= _FAULTS_NOTED:
+            self._note("alarm", text)
+        self._give_up(text, now_ns)
 
     # Phases
 
