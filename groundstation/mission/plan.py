@@ -383,6 +383,11 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
     _check_vehicles(spec, first.formation, source, profiles)
     vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)
     profile = slowest(vehicle_profiles)
+    if spec.avoidance.activation_m < spec.avoidance.radius_m:
+        raise UserError(
+            f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
+            f" {spec.avoidance.radius_m} m; make it as large at least"
+        )
     region = _region(spec, profile)
     _check_pads(spec, pads, region, source)
     for key, shape in shapes.items():
@@ -599,11 +604,6 @@ def _region(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:
 
 def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:
     radius = spec.avoidance.radius_m
-    if spec.avoidance.activation_m < radius:
-        raise UserError(
-            f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
-            f" {radius} m; make it as large at least"
-        )
     if isinstance(region, UprightRegion):
         check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
     for i, j in itertools.combinations(range(len(pads)), 2):

@@ -294,7 +294,7 @@ def test_whatever_goes_wrong_in_a_run_becomes_a_row(tmp_path: Path, monkeypatch:
     row = fly_case(broken)
     assert "rate_hz" in row["error"]
     assert set(row) == set(SCHEMA.names)
-    monkeypatch.setattr("groundstation.app.campaign.run.Runner", lambda *_: 1 / 0)
+    monkeypatch.setattr("groundstation.app.campaign.run.Runner", lambda *_, **__: 1 / 0)
     row = fly_case(case)
     assert row["error"].startswith("ZeroDivisionError: ")
     assert "test_campaign.py" in row["error"]
