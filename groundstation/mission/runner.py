@@ -621,6 +621,7 @@ class Runner:
         fleet, pose_ns = self.fleet, self._frame.pose_ns(self.fleet)
         poses = self._monitor.trusted(poses, pose_ns, now_ns)
         excused = self._landing.asked | self._killing.asked
+        elsewhere = self._released | self._climb.under_way | self._landing.here | self._monitor.foreign
         sight = Sight(
             fleet=fleet,
             now_ns=now_ns,
@@ -629,7 +630,7 @@ class Runner:
             pose_ns=pose_ns,
             drift_m=self._frame.drift_m(fleet, now_ns),
             sent_ned_m_s=self._sent_ned_m_s,
-            steered=~(self._released | self._climb.under_way | self._monitor.hold | self._landing.here),
+            steered=~(elsewhere | self._monitor.hold),
             excused=excused,
             blind=self._monitor.blind,
             airborne=self.airborne,

@@ -21,6 +21,8 @@ from tests.app.flights import SECOND_NS, Flight, cube8
 
 POSITION = message_id("LOCAL_POSITION_NED")
 HEARTBEAT = message_id("HEARTBEAT")
+SAMPLE = (1, 4, 6)
+"""Vehicles of the lower and the upper half of the cube, counted from 0."""
 
 
 def _all_down(flight: Flight) -> bool:
@@ -34,7 +36,7 @@ def _without(datagram: Outgoing, *msgids: int) -> list[Outgoing]:
     return [datagram._replace(data=b"".join(kept))] if kept else []
 
 
-@pytest.mark.parametrize("seed", range(1, 21))
+@pytest.mark.parametrize("seed", range(1, 11))
 def test_cube8_is_formed_held_and_landed_on_the_pads_at_every_seed(seed: int) -> None:
     flight = Flight(cube8(), seed=seed)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
@@ -191,7 +193,7 @@ def test_a_vehicle_that_stands_on_another_ones_pad_is_refused() -> None:
     assert "vehicle 2: reports a position 1.00 m from its pad, limit 0.3 m" in flight.runner.reason
 
 
-@pytest.mark.parametrize("vehicle", range(8))
+@pytest.mark.parametrize("vehicle", SAMPLE)
 def test_a_vehicle_whose_position_stops_in_flight_lands_and_the_others_come_back(vehicle: int) -> None:
     """Half of the cube hovers above the other half: whoever is below has to be gone before the blind one comes down."""
 
@@ -210,7 +212,7 @@ def test_a_vehicle_whose_position_stops_in_flight_lands_and_the_others_come_back
     assert np.delete(off_pad, vehicle).max() < 0.3
 
 
-@pytest.mark.parametrize("vehicle", range(8))
+@pytest.mark.parametrize("vehicle", SAMPLE)
 def test_a_vehicle_that_falls_silent_altogether_hits_nobody_and_is_not_waited_for(vehicle: int) -> None:
     """Its link is dead both ways: its own failsafe holds it, and brings it home when the others are down."""
     dead: list[int] = []
@@ -356,7 +358,7 @@ def test_a_pilot_who_takes_over_is_not_fought() -> None:
     assert flight.world.min_distance_airborne_m >= 0.45
 
 
-@pytest.mark.parametrize("vehicle", range(8))
+@pytest.mark.parametrize("vehicle", SAMPLE)
 def test_nobody_stays_under_a_vehicle_that_its_pilot_lands_from_the_formation(vehicle: int) -> None:
     pilot = Encoder(254, 1)
     told: list[int] = []

@@ -190,10 +190,10 @@ def test_a_port_that_is_not_there_is_shown_from_the_first_moment_and_while_waiti
     link = open_link(url)
     link.service(0)
     session, text = Session(Runner(plan, 0), None), io.StringIO()
-    display = FlightDisplay(Console(file=text, width=300), plan, [link])
-    for tick in range(1, 140):
-        session.tick(tick * SECOND_NS // 20)
-        display(session, tick * SECOND_NS // 20)
+    with FlightDisplay(Console(file=text, width=300), plan, [link]) as display:
+        for tick in range(1, 140):
+            session.tick(tick * SECOND_NS // 20)
+            display(session, tick * SECOND_NS // 20)
     lines = text.getvalue().splitlines()
     told = [line for line in lines if f"{url}: cannot open {tmp_path}/ttyUSB0: No such file or directory" in line]
     assert [line.split()[2] for line in told] == ["link", "waiting:"]
