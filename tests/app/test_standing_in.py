@@ -170,7 +170,9 @@ def _interrupted(interrupts: Interrupts, number: int) -> Recording:
     return session
 
 
-def test_a_terminal_that_is_closed_brings_everybody_back_once() -> None:
+def test_a_terminal_that_is_closed_brings_everybody_back_once(request: pytest.FixtureRequest) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests themselves may run under nohup
+    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
     session = _interrupted(Interrupts(), signal.SIGHUP)
     assert session.orders == ["return"]
     assert any("terminal was closed" in note.text for note in session.notes)
