@@ -364,4 +364,4 @@ def test_more_vehicles_than_a_radio_carries_are_refused_with_the_number_that_it_
     with pytest.raises(UserError) as caught:
         mission("cube8", f"link_bytes_per_s={{'{url}': 3000}}", *links)
     assert f"link {url}: 3000 bytes/s for 8 vehicles leave 3." in str(caught.value)
-    assert "Hz for positions, minimum is 8 Hz; 4 would fit: use a faster link (57600 baud do)" in str(caught.value)
+    assert "Hz for positions, minimum is 8 Hz; 5 would fit: use a faster link (57600 baud do)" in str(caught.value)
