@@ -1,4 +1,7 @@
-"""Preflight on a screen: a line for each vehicle, with what a safety officer asks for. Judges nothing."""
+"""Preflight on a screen: a line for each vehicle, with what a safety officer asks for. Judges nothing.
+
+On a terminal that is too narrow for the table a few lines for each vehicle say the same; nothing is ever cut off.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -16,6 +20,17 @@ _COLUMNS = (
     "vehicle", "role", "firmware", "mode", "heard", "estimator", "pose", "off pad", "rates", "clock", "battery",
     "failsafe", "state",
 )  # fmt: skip
+_INDENT, _BETWEEN = "  ", "   "
+
+
+def show_rows(console: Console, rows: Sequence[CheckRow]) -> None:
+    """Prints the rows: as a table where the console is wide enough for it, else as a list."""
+    table = check_table(rows)
+    if console.measure(table).maximum < console.width or not rows:
+        console.print(table)
+    else:
+        for line in check_list(rows, console.width):
+            console.print(line)
 
 
 def check_table(rows: Sequence[CheckRow]) -> Table:
@@ -26,22 +41,43 @@ def check_table(rows: Sequence[CheckRow]) -> Table:
     """
     table = Table(*_COLUMNS)
     for row in rows:
-        table.add_row(
-            str(row.id),
-            str(row.role),
-            row.firmware or "-",
-            row.mode or "-",
-            _figure(row.heartbeat_age_s, "{:.1f} s"),
-            row.estimator or "-",
-            _figure(row.position_age_s, "{:.2f} s"),
-            f"{_figure(row.off_pad_m, '{:.2f}')}/{row.off_pad_limit_m:.2f} m",
-            f"{_figure(row.positions_hz, '{:.0f}')}+{_figure(row.attitudes_hz, '{:.0f}')}/{row.asked_hz:.0f} Hz",
-            _figure(1000.0 * row.clock_s, "±{:.0f} ms"),
-            f"{_figure(100.0 * row.battery, '{:.0f}')}/{100.0 * row.battery_need:.0f} %",
-            row.failsafe or "-",
-            Text("ready", style="bold green") if row.ready else Text("not ready", style="bold red"),
-        )
+        table.add_row(*_cells(row))
     return table
+
+
+def check_list(rows: Sequence[CheckRow], width: int) -> list[Text]:
+    """The rows as lines of at most ``width`` columns, unless a single entry is longer."""
+    lines = []
+    for row in rows:
+        vehicle, role, *cells, state = _cells(row)
+        lines.append(Text(f"vehicle {vehicle}, role {role}: ") + state)
+        line = ""
+        for name, cell in zip(_COLUMNS[2:-1], cells, strict=True):
+            entry = f"{name} {cell}"
+            if line and len(_INDENT + line + _BETWEEN + entry) > width:
+                lines.append(Text(_INDENT + line))
+                line = ""
+            line = f"{line}{_BETWEEN}{entry}" if line else entry
+        lines.append(Text(_INDENT + line))
+    return lines
+
+
+def _cells(row: CheckRow) -> tuple[Any, ...]:
+    return (
+        str(row.id),
+        str(row.role),
+        row.firmware or "-",
+        row.mode or "-",
+        _figure(row.heartbeat_age_s, "{:.1f} s"),
+        row.estimator or "-",
+        _figure(row.position_age_s, "{:.2f} s"),
+        f"{_figure(row.off_pad_m, '{:.2f}')}/{row.off_pad_limit_m:.2f} m",
+        f"{_figure(row.positions_hz, '{:.0f}')}+{_figure(row.attitudes_hz, '{:.0f}')}/{row.asked_hz:.0f} Hz",
+        _figure(1000.0 * row.clock_s, "±{:.0f} ms"),
+        f"{_figure(100.0 * row.battery, '{:.0f}')}/{100.0 * row.battery_need:.0f} %",
+        row.failsafe or "-",
+        Text("ready", style="bold green") if row.ready else Text("not ready", style="bold red"),
+    )
 
 
 def rows_as_values(rows: Sequence[CheckRow]) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from groundstation.app.output import Output, SteadyConsole, flush_streams
+from groundstation.app.output import Output, SteadyConsole, flush_streams, hold_streams
 from groundstation.core.errors import UserError
 from groundstation.records.manifest import versions
 
@@ -65,6 +65,7 @@ def build(called: str | None) -> typer.Typer:
 
 def main() -> None:
     """Entry point of ``gs``."""
+    hold_streams()
     arguments = sys.argv[1:]
     if arguments == ["--version"]:
         Console(highlight=False).print(f"gs {versions()['gs']}")

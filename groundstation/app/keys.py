@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import termios
 from collections.abc import Sequence
 from types import TracebackType
@@ -194,14 +195,17 @@ class Keyboard:
         return () if self._before is None else (self._descriptor,)
 
     def read(self) -> None:
-        """Takes what was typed; a terminal that has gone ends it."""
+        """Takes what was typed, if anything was; a terminal that has gone ends it."""
         if self._before is None:
             return
         try:
+            # An empty read says that the terminal has gone only where there was something to be read.
+            if not select.select([self._descriptor], [], [], 0.0)[0]:
+                return
             data = os.read(self._descriptor, _READ_BYTES)
         except BlockingIOError:
             return
-        except OSError:
+        except (OSError, ValueError):
             data = b""
         if not data:
             self._restore()

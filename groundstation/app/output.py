@@ -18,6 +18,8 @@ from typing import Any, TextIO
 import numpy as np
 from rich.console import Console
 
+_UNBOUNDED = 1_000  # columns
+
 
 class SteadyConsole(Console):
     """A console that says no more once nobody can hear it."""
@@ -35,8 +37,20 @@ class SteadyConsole(Console):
         let_go_of(sys.stderr if self.stderr else sys.stdout)
 
 
-def let_go_of(stream: TextIO) -> None:
+def hold_streams() -> None:
+    """Makes standard streams that were closed before the program began lead nowhere.
+
+    Their descriptors would otherwise be given to the next files that are opened, a log among them.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - for good
+
+
+def let_go_of(stream: TextIO | None) -> None:
     """Makes a standard stream whose other end is gone lead nowhere."""
+    if stream is None:
+        return
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -46,6 +60,8 @@ def let_go_of(stream: TextIO) -> None:
 def flush_streams() -> None:
     """Writes out what the standard streams hold back; what cannot be written any more is forgotten."""
     for stream in (sys.stdout, sys.stderr):
+        if stream is None:
+            continue
         try:
             stream.flush()
         except (OSError, ValueError):
@@ -63,6 +79,8 @@ class Output:
     def __init__(self, *, as_json: bool) -> None:
         self.json = as_json
         self.console = SteadyConsole(stderr=as_json, highlight=False, soft_wrap=True)
+        if not self.console.is_terminal:  # a pipe or a file has no edge that a table would have to fit into
+            self.console.width = _UNBOUNDED
 
     def result(self, values: Mapping[str, object]) -> None:
         """Prints the JSON object, where one was asked for."""

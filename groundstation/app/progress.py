@@ -6,6 +6,7 @@ and memory that has run out while drawing, cost the picture and nothing else.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from threading import Event, Thread
@@ -187,7 +188,8 @@ class FlightDisplay:
         else:
             airborne = int(runner.airborne.sum())
             text.append(f"  in the air: {airborne} of {self._plan.size}", style="default")
-            text.append(f"  smallest distance {runner.figures.min_distance_m:.2f} m", style="default")
+            if math.isfinite(runner.figures.min_distance_m):  # not before two of them are in the air
+                text.append(f"  smallest distance {runner.figures.min_distance_m:.2f} m", style="default")
         if prompt:
             text.append(f"\n{prompt}", style="dim" if prompt.startswith("h hold") else "bold yellow")
         return text

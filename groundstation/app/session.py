@@ -1,5 +1,8 @@
 """One flight with its record: every byte is written down before anyone parses it, then given to the runner.
 
+Nothing is armed that cannot be recorded: when the log fails before takeoff, the flight ends there, by an order as the
+operator would give it. Who is in the air flies on without a log.
+
 Loops call it with times; it reads no clock. Replay does the same calls from the log and must get the same setpoints.
 """
 
@@ -9,7 +12,7 @@ from groundstation.mavlink.codec import Frame
 from groundstation.mavlink.gate import Gate, Refused
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.operator import parse_command
-from groundstation.mission.runner import Note, Runner
+from groundstation.mission.runner import Note, Phase, Runner
 from groundstation.records.tlog import TlogWriter
 
 
@@ -25,6 +28,8 @@ class Session:
     Attributes:
         notes: what happened since the loop last took it, for the screen.
         said: what the last tick had to say, for whoever waits for the answer to an order.
+        unlogged: "" unless the flight was ended before takeoff because it could not be recorded: why.
+        armed_unlogged: whether vehicles may have been armed by then.
     """
 
     def __init__(self, runner: Runner, log: TlogWriter | None, gate: Gate | None = None) -> None:
@@ -32,6 +37,8 @@ class Session:
         self.gate = gate
         self.notes: list[Note] = []
         self.said: list[Note] = []
+        self.unlogged = ""
+        self.armed_unlogged = False
         self._log = log
         self._log_problem_told = False
 
@@ -74,6 +81,7 @@ class Session:
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """Steps the runner and records what it sends and says."""
+        before = self.runner.phase
         if self._log is not None:
             self._log.tick(now_ns, self.runner.figures.ticks)
         outgoing = self.runner.step(now_ns)
@@ -91,12 +99,28 @@ class Session:
                     self._log.roles(note.roles, now_ns)
                 else:
                     self._log.event(f"{note.kind}: {note.text}", now_ns)
+            if before is Phase.CONNECT and self.runner.phase is Phase.ARM:
+                self._log.flush()  # a disk that is full shows before anybody is asked to arm, not a second later
             if self._log.problem is not None and not self._log_problem_told:
                 self._log_problem_told = True
-                notes.append(Note("alarm", self._log.problem))
+                notes.append(Note("alarm", self._without_log(self._log.problem, before, now_ns)))
         self.said = notes
         self.notes += notes
         return outgoing + greetings
+
+    def _without_log(self, problem: str, before: Phase, now_ns: int) -> str:
+        """Goes on in the air, and ends what has not taken off; returns words for people.
+
+        Args:
+            problem: of the log.
+            before: phase in which this tick began.
+            now_ns: its time.
+        """
+        if self.runner.phase not in (Phase.CONNECT, Phase.ARM):
+            return f"{problem}; the flight goes on without a log"
+        self.unlogged, self.armed_unlogged = problem, before is Phase.ARM
+        self.operator("return", now_ns)
+        return f"{problem}; nobody takes off without a log"
 
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""

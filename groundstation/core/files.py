@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import reprlib
+import stat
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +22,27 @@ _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = 200
 _short.maxlong = 60
+
+
+def require_regular(path: Path, max_bytes: int, what: str) -> None:
+    """Makes sure that reading the whole of a file comes to an end: devices and pipes may have none.
+
+    Args:
+        path: the file.
+        max_bytes: the most that is read.
+        what: it should be, for the message.
+
+    Raises:
+        UserError: it is no regular file, or longer.
+        OSError: there is no such file, or it cannot be looked at.
+    """
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise UserError(f"{path}: is no regular file, expected {what}; name a file on a disk")
+    if found.st_size > max_bytes:
+        raise UserError(
+            f"{path}: {found.st_size} bytes are too many for {what}, limit {max_bytes >> 20} MB; is it the right file?"
+        )
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

@@ -4,7 +4,7 @@ A key file holds one of: 32 raw bytes; 64 hexadecimal digits; base64 of 32 bytes
 SHA-256 (UTF-8) is the key, as Mission Planner, QGroundControl and MAVProxy make it from what is typed there. A
 passphrase has to say that it is one, so that a key that lost a digit is an error and not another key.
 
-Refuses files that anybody else could read or might have put there.
+Refuses files that anybody else could read or might have put there, and the key of zeros that everybody knows.
 """
 
 from __future__ import annotations
@@ -53,7 +53,13 @@ def read_key(path: Path) -> SecretKey:
         content = os.read(descriptor, _FILE_MAX + 1)
     finally:
         os.close(descriptor)
-    return SecretKey(_secret_in(path, content))
+    secret = _secret_in(path, content)
+    if not any(secret):
+        raise UserError(
+            f"{path}: {KEY_BYTES} bytes of zero are what MAVLink takes for no key at all, anybody could sign with it;"
+            " make a key: gs signing new"
+        )
+    return SecretKey(secret)
 
 
 def _judge(path: Path, found: os.stat_result) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.core.errors import UserError
+from groundstation.core.files import require_regular
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, blank, encode_batch
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
@@ -28,6 +29,7 @@ _LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
 _VELOCITY_ONLY = 0x0DC7  # type_mask: position, acceleration, yaw and yaw rate are to be ignored
 _MAX_VEHICLES = 250
 _PEER = "crazyswarm"
+_CSV_MAX = 1 << 30  # bytes of one file
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ def import_crazyswarm(
     writer.close()
     try:
         if writer.problem is not None:
-            raise UserError(f"{writer.problem.split('; ')[0]}; make room or give another place")
+            raise UserError(f"{writer.problem}; make room or give another place")
         write_manifest(manifest_path(log), manifest)
     except UserError:
         log.unlink(missing_ok=True)
@@ -197,6 +199,7 @@ def _roles(roles: tuple[int, ...]) -> str:
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Rows below the heading, with their line numbers from 1."""
     try:
+        require_regular(path, _CSV_MAX, "CSV")
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.reader(file)
             next(reader, None)

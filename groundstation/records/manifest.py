@@ -176,6 +176,8 @@ def manifest_beside(log: Path) -> Manifest | None:
     Raises:
         UserError: there is one, and it cannot be used.
     """
+    if not log.name:  # "." or "/": whoever reads it as a log says what is wrong
+        return None
     path = manifest_path(log)
     return read_manifest(path) if path.exists() else None
 

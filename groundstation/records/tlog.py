@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Protocol
 
 from groundstation.core.errors import UserError
+from groundstation.core.files import require_regular
 from groundstation.mavlink.codec import (
     MAGIC_V1,
     MAGIC_V2,
@@ -67,6 +68,7 @@ _MAGIC = re.compile(b"[\xfd\xfe]")
 _SIGNING_HEADER = re.compile(rb"\xfd.{6}\x00\x01\x00", re.DOTALL)
 _SIGNING_BYTES = 10 + 42 + 2 + 13  # header, payload with the key, checksum, signature
 _SECRETS_MAX = 256
+_LOG_MAX = 4 << 30  # bytes; a hundred vehicles write as much in an hour and more
 _JOINED_MAX = 1 << 20  # bytes of one note; a datagram has 65,535 at most
 
 
@@ -190,6 +192,11 @@ class TlogWriter:
         """Records the role of each vehicle, in the order of the mission, counted from 0, None for none."""
         self._note_pieces(Kind.ROLES, pack_roles(roles), t_ns)
 
+    def flush(self) -> None:
+        """Writes what is held back, without waiting for the next second; ``problem`` tells whether that went well."""
+        if self._flushed_ns is not None:
+            self._flush()
+
     def close(self) -> None:
         """Writes what is left and closes the file; a second call does nothing."""
         if self._closed:
@@ -260,15 +267,24 @@ class TlogWriter:
                 taken = self._file.write(bytes(view))
                 view = view[len(view) if taken is None else taken :]
             self._file.flush()
-            if self._path is not None and not os.path.samestat(self._path.stat(), self._identity):
-                raise FileNotFoundError(0, "the file was replaced while it was written")
+            if self._path is not None:
+                self._look_for(self._path)
         except OSError as error:
             self._fail(error)
         self._buffer = bytearray()
 
+    def _look_for(self, path: Path) -> None:
+        """Raises when the file has lost its name: what is written to it then is gone when it is closed."""
+        try:
+            there = os.path.samestat(path.stat(), self._identity)
+        except FileNotFoundError:
+            raise FileNotFoundError(0, "the file was deleted or moved while it was written") from None
+        if not there:
+            raise FileNotFoundError(0, "the file was replaced while it was written")
+
     def _fail(self, error: OSError) -> None:
         reason = error.strerror or str(error)
-        self.problem = f"{self._name}: recording stopped: {reason}; the flight goes on without a log"
+        self.problem = f"{self._name}: recording stopped: {reason}"
 
 
 def _create(path: Path) -> Sink:
@@ -498,6 +514,7 @@ def read_tlog(path: Path, epoch_unix_us: int | None = None) -> TlogReader:
         UserError: no such file, not readable, empty, or not a log.
     """
     try:
+        require_regular(path, _LOG_MAX, "a log")
         data = path.read_bytes()
     except FileNotFoundError as error:
         raise UserError(f"{path}: no such log; give the .tlog file that a flight or an import wrote") from error

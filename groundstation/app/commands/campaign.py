@@ -129,12 +129,20 @@ def _mission(mission: Path | None, varied: Vary) -> Path:
 
 def _announce(out: Output, varied: Vary, count: int, todo: int) -> None:
     cells = len(varied.cells)
-    each = f" over {cells} cells, {count / cells:.4g} each" if cells > 1 else ""
+    each = f" over {cells} cells, {_share(count, cells)}" if cells > 1 else ""
     out.console.print(
         f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}"
     )
     if count < cells:
-        out.console.print(f"fewer runs than cells: the last {cells - count} cells are not flown")
+        out.console.print(f"fewer runs than cells: the last {cells - count} of them are not flown")
+
+
+def _share(count: int, cells: int) -> str:
+    """How often each cell is flown, in words."""
+    if count < cells:
+        return f"one each in the first {count}" if count > 1 else "in the first one"
+    least, more = divmod(count, cells)
+    return f"{least} each" if not more else f"{least} or {least + 1} each"
 
 
 def _fly_all(

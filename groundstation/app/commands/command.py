@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,6 +43,8 @@ def command(
         _list(out, found, silent)
         return
     path, about = _choose(found, silent, flight)
+    if silent and flight is None:
+        out.console.print(Text(_no_answer(silent), style="bold red"))
     try:
         order = parse_command(" ".join(words), about.get("vehicles") or [1]).text
     except ValueError as error:
@@ -65,7 +68,7 @@ def command(
         raise MissionFailed(f"{about.get('mission')}: {order}: {answer.get('why')}")
 
 
-def _list(out: Output, found: list[tuple[Path, dict[str, Any]]], silent: Any) -> None:
+def _list(out: Output, found: list[tuple[Path, dict[str, Any]]], silent: Sequence[Path]) -> None:
     table = Table("mission", "phase", "vehicles", "process", "log")
     for _, about in found:
         ids = ", ".join(map(str, about.get("vehicles") or ()))
@@ -74,15 +77,17 @@ def _list(out: Output, found: list[tuple[Path, dict[str, Any]]], silent: Any) ->
         )
     out.console.print(table if found else "no flight is under way")
     for path in silent:
-        out.console.print(Text(f"process {path.stem} does not answer", style="bold red"))
+        out.console.print(Text(_no_answer([path]), style="bold red"))
     out.result({"flights": [about for _, about in found], "silent": [path.stem for path in silent]})
 
 
-def _choose(found: list[tuple[Path, dict[str, Any]]], silent: Any, wanted: str | None) -> tuple[Path, dict[str, Any]]:
+def _choose(
+    found: list[tuple[Path, dict[str, Any]]], silent: Sequence[Path], wanted: str | None
+) -> tuple[Path, dict[str, Any]]:
     """The flight that is meant.
 
     Raises:
-        CheckFailed: there is none.
+        CheckFailed: there is none, or it does not answer.
         UserError: there are several.
     """
     fitting = [item for item in found if wanted is None or _is_meant(item[1], wanted)]
@@ -93,10 +98,20 @@ def _choose(found: list[tuple[Path, dict[str, Any]]], silent: Any, wanted: str |
     )
     if fitting:
         raise UserError(f"several flights are under way: {names}; choose one with --flight")
-    if wanted is not None and found:
-        raise UserError(f"--flight {wanted}: no such flight is under way; there are: {names}")
-    stuck = f"; process {', '.join(path.stem for path in silent)} does not answer" if silent else ""
+    if wanted is not None and any(path.stem == wanted for path in silent):
+        raise CheckFailed(f"--flight {wanted}: {_no_answer([Path(wanted)])}; it may be suspended")
+    others = [f"there are: {names}"] if names else []
+    # A flight that does not answer tells neither mission nor log: it may be the one that is meant.
+    others += [f"{_no_answer(silent)}, and may be the one that is meant"] if silent and wanted is not None else []
+    if wanted is not None and others:
+        raise CheckFailed(f"--flight {wanted}: no such flight answers; {'; '.join(others)}")
+    stuck = f"; {_no_answer(silent)}" if silent else ""
     raise CheckFailed(f"no flight of this user is under way on this machine{stuck}")
+
+
+def _no_answer(silent: Sequence[Path]) -> str:
+    numbers = ", ".join(path.stem for path in silent)
+    return f"process {numbers} does not answer" if len(silent) == 1 else f"processes {numbers} do not answer"
 
 
 def _is_meant(about: dict[str, Any], wanted: str) -> bool:

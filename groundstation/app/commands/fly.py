@@ -15,7 +15,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from groundstation.app.check_screen import check_table, rows_as_values
+from groundstation.app.check_screen import rows_as_values, show_rows
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.keys import Keyboard
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
@@ -130,7 +130,7 @@ def check(
         signed = "signed" if number in plan.signed_links else "not signed"
         out.console.print(f"{rates.words(plan.links[number], plan.link_of_vehicle.count(number))}, {signed}")
     rows = runner.check_rows()
-    out.console.print(check_table(rows))
+    show_rows(out.console, rows)
     refused = _refused(plan, gate)
     if runner.outcome == "completed":  # else they are among the reasons
         for line in refused:
@@ -223,7 +223,7 @@ def _dry_run(
                 pace=wall_clock_pace() if realtime else None,
                 controls=controls,
             )
-    values = _values(session.runner, log_path, seed) | meter.figures()
+    values = _values(session, log_path, seed) | meter.figures() | {"log_complete": log.problem is None}
     record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
     _tell_refused(out, values, plan, gate)
     _finish(out, log_path, manifest.finished(values | record))
@@ -299,7 +299,7 @@ def _real_flight(
                 interrupts=interrupts,
                 controls=controls,
             )
-        values = _values(session.runner, log_path, emulated_seed)
+        values = _values(session, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         _tell_refused(out, values, plan, gate)
         record = _for_the_record(session.runner, gate)
@@ -308,6 +308,7 @@ def _real_flight(
         if meter is not None:
             values |= meter.figures()
             record["move_error_m"] = meter.move_error_m
+    values["log_complete"] = log is not None and log.problem is None  # known when it is closed
     _finish(out, log_path, manifest.finished(values | record))
     return values | {"beside": record}
 
@@ -335,14 +336,21 @@ def _recording(log_path: Path, manifest: Manifest, plan: MissionPlan) -> Iterato
         yield log
 
 
-def _values(runner: Runner, log_path: Path, seed: int | None) -> dict[str, Any]:
-    """The figures of a flight, as the command line promises them; distances as the vehicles reported them."""
+def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any]:
+    """The figures of a flight, as the command line promises them; distances as the vehicles reported them.
+
+    The caller adds ``log_complete`` when the log is closed.
+    """
+    runner = session.runner
     figures, spec = runner.figures, runner.plan.spec
+    reason = runner.reason or ("" if runner.outcome else "interrupted by the operator")
+    if session.unlogged:
+        reason = f"{session.unlogged}; nobody takes off without a log, make room or give another place with --log"
     return {
         "mission": spec.name,
         "outcome": "completed" if runner.outcome == "completed" else "aborted",
-        "reason": runner.reason or ("" if runner.outcome else "interrupted by the operator"),
-        "refused": runner.outcome == "refused",
+        "reason": reason,
+        "refused": runner.outcome == "refused" or bool(session.unlogged and not session.armed_unlogged),
         "vehicles": runner.plan.size,
         "converged": figures.converged,
         "time_to_form_s": figures.time_to_form_s,
@@ -400,6 +408,8 @@ def _tell(out: Output, values: Mapping[str, Any]) -> None:
         if value:
             table.add_row(label, value)
     out.console.print(table)
+    if not values["log_complete"]:
+        out.console.print(Text("the log is not complete: the flight was not recorded to its end", style="bold red"))
 
 
 def _gridlocks(values: Mapping[str, Any]) -> str:
