@@ -27,6 +27,7 @@ from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
 from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
 from groundstation.app.campaign.table import SCHEMA
 from groundstation.app.campaign.vary import ExpectSpec, load_vary
+from groundstation.app.commands.campaign import _share
 from groundstation.app.resources import packaged_configs
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
@@ -384,3 +385,11 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     values = summarise(struck, [""], lambda run: f"again {run}")
     assert values["matrix"] == {"reboot": {"form": [1, 1], "land": [1, 2]}}
     assert "| reboot | 1 of 1 | 1 of 2 |" in to_markdown(values)
+
+
+@pytest.mark.parametrize(
+    ("count", "cells", "words"),
+    [(10, 312, "one each in the first 10"), (1, 4, "in the first one"), (8, 4, "2 each"), (10, 4, "2 or 3 each")],
+)
+def test_how_often_each_cell_is_flown_is_told_in_whole_numbers(count: int, cells: int, words: str) -> None:
+    assert _share(count, cells) == words

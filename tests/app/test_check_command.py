@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import socket
 from dataclasses import replace
@@ -9,8 +10,12 @@ from pathlib import Path
 from threading import Event, Thread
 
 import pytest
+from rich.console import Console
 
+from groundstation.app.check_screen import show_rows
 from groundstation.app.emulator import world_config
+from groundstation.app.output import Output
+from groundstation.mission.check_table import CheckRow
 from sitl.server import Server
 from tests.app.flights import pair
 from tests.app.test_cli import _gs
@@ -20,7 +25,6 @@ def test_fix_sets_what_a_check_before_has_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "170")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
@@ -96,3 +100,33 @@ def test_what_cannot_be_read_is_wrong_usage(
     code, _, err = _gs(["check", *arguments], monkeypatch, capsys)
     assert code == 2
     assert err.strip()
+
+
+def _row(number: int) -> CheckRow:
+    return CheckRow(
+        id=number, role=number, link="udpin://0.0.0.0:14540", firmware="px4 1.17.0 dev", mode="AUTO.LOITER",
+        heartbeat_age_s=0.5, estimator="good", position_age_s=0.02, off_pad_m=0.01, off_pad_limit_m=0.3,
+        positions_hz=50.0, attitudes_hz=50.0, asked_hz=50.0, round_trip_s=0.004, clock_s=0.002, battery=0.97,
+        battery_need=0.31, failsafe="as planned", problems=("no",) if number == 2 else (), notes=(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("width", [80, 60, 120, 400])
+def test_what_preflight_found_is_whole_at_any_width(width: int) -> None:
+    text = io.StringIO()
+    show_rows(Console(file=text, width=width), [_row(1), _row(2), _row(13)])
+    shown = text.getvalue()
+    assert "…" not in shown
+    assert max(map(len, shown.splitlines())) <= width
+    for words in ("px4 1.17.0 dev", "AUTO.LOITER", "0.01/0.30 m", "50+50/50 Hz", "±2 ms", "97/31 %", "as planned"):
+        assert shown.count(words) == 3, words
+    assert shown.count("not ready") == 1
+    assert ("vehicle 13, role 13: ready" in shown) == (width < 200)
+
+
+def test_a_pipe_gets_the_table_in_lines_as_long_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    show_rows(Output(as_json=False).console, [_row(13)])
+    lines = capsys.readouterr().out.splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert len(lines) == 5
+    assert "AUTO.LOITER" in lines[3]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -11,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from groundstation.app import cli
-from groundstation.app.output import to_json
+from groundstation.app.output import Output, flush_streams, hold_streams, to_json
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, encode_batch
 
 FLY_KEYS = {
     "mission", "outcome", "reason", "vehicles", "converged", "time_to_form_s", "formation_error_m", "min_distance_m",
     "min_clearance", "safety_radius_m", "gridlocks", "role_swaps", "setpoints", "ticks", "deadline_misses",
-    "duration_s", "wall_s", "log", "seed",
+    "duration_s", "wall_s", "log", "log_complete", "seed",
 }  # fmt: skip
 
 
@@ -43,6 +44,7 @@ def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
     values = json.loads(out.splitlines()[-1])
     assert set(values) == FLY_KEYS
     assert (values["outcome"], values["vehicles"], values["seed"]) == ("completed", 8, 7)
+    assert values["log_complete"] is True
     assert values["formation_error_m"] <= 0.05
     assert values["min_distance_m"] >= values["safety_radius_m"] == 0.45
 
@@ -252,3 +254,35 @@ def test_a_flight_by_gps_can_be_looked_at_like_any_other(
     values = json.loads(out.splitlines()[-1])
     assert (code, values["mismatches"]) == (0, 0)
     assert values["min_distance_m"] == pytest.approx(true_m, abs=1.0)  # what GPS says, not what is
+
+
+@pytest.mark.parametrize(
+    ("closed", "arguments", "code"),
+    [
+        (">&-", ["check", "--mission", "nowhere.yaml"], 2),
+        ("<&- >&- 2>&-", ["check", "--mission", "nowhere.yaml", "--json"], 2),
+        (">&-", ["command"], 0),
+    ],
+)
+def test_streams_that_were_closed_before_it_began_change_no_exit_code(
+    closed: str, arguments: list[str], code: int, tmp_path: Path
+) -> None:
+    program = "import sys; from groundstation.app.cli import main; sys.argv[0] = 'gs'; main()"
+    done = subprocess.run(
+        ["/bin/sh", "-c", f'exec "$@" {closed}', "sh", sys.executable, "-c", program, *arguments],
+        capture_output=True,
+        env={**os.environ, "HOME": str(tmp_path), "XDG_RUNTIME_DIR": ""},
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (code, b"")
+    assert b"Traceback" not in done.stderr
+
+
+def test_streams_that_are_none_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    flush_streams()
+    Output(as_json=True).console.on_broken_pipe()
+    hold_streams()
+    sys.stdout.write("to nowhere")
+    assert sys.stdout.name == sys.stderr.name == os.devnull

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import pickle
 import resource
 import zipfile
@@ -27,7 +28,8 @@ from groundstation.records.imports import read_crazyswarm
 from groundstation.records.manifest import Manifest, manifest_path, read_manifest
 from groundstation.records.notes import Kind, Noise
 from groundstation.records.replay import load_flight
-from groundstation.records.tlog import TlogReader, TlogWriter
+from groundstation.records.responses import load_motions
+from groundstation.records.tlog import TlogReader, TlogWriter, read_tlog
 from sitl import faults
 from sitl.faults import FaultError, parse_faults
 
@@ -278,3 +280,28 @@ def test_names_that_no_host_can_have_are_a_message(kind: str) -> None:
 def test_odd_numbers_of_list_items_are_a_message(key: str) -> None:
     with pytest.raises(UserError, match="--set vehicles"):
         load_mission(CUBE8, [f"{key}=1"])
+
+
+@pytest.mark.parametrize("read", [load_flight, read_tlog, lambda path: load_motions(path, 0.02), read_crazyswarm])
+def test_what_has_no_end_is_not_read(read: Any, tmp_path: Path) -> None:
+    """A device, a pipe, a folder and a file with a hole as large as a disk."""
+    path = tmp_path / ("time_stamp.csv" if read is read_crazyswarm else "a.tlog")
+    argument = tmp_path if read is read_crazyswarm else path
+    path.symlink_to("/dev/zero")
+    with pytest.raises(UserError, match="is no regular file"):
+        read(argument)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(UserError, match="is no regular file"):
+        read(argument)
+    path.unlink()
+    path.touch()
+    os.truncate(path, 1 << 40)
+    with pytest.raises(UserError, match="1099511627776 bytes are too many for"):
+        read(argument)
+
+
+def test_a_folder_or_the_root_is_no_log() -> None:
+    for path in (Path(), Path("/"), Path("/dev/zero")):
+        with pytest.raises(UserError, match="is no regular file, expected a log"):
+            load_flight(path)

@@ -12,10 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from groundstation.app.emulator import world_config
 from groundstation.app.keys import HELP, Keyboard, KeyDialogue
+from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
 from groundstation.mission.operator import parse_command
-from groundstation.mission.runner import Runner
+from groundstation.mission.runner import Phase, Runner
+from sitl.world import World
 from tests.app.flights import pair
 
 IDS = [1, 2, 13]
@@ -138,3 +141,29 @@ def test_only_a_terminal_of_ours_is_a_keyboard(terminal: tuple[int, int]) -> Non
     assert not Keyboard.usable(9999)
     os.close(read)
     os.close(write)
+
+
+def test_keys_work_in_a_dry_run_which_looks_at_them_in_every_tick(terminal: tuple[int, int]) -> None:
+    far, near = terminal
+    plan = pair()
+    session = Session(Runner(plan, 0), None)
+
+    def type_late(now_ns: int) -> None:
+        if now_ns == 500_000_000:
+            os.write(far, b"b")
+            assert select.select([near], [], [], 5.0)[0]
+        assert now_ns <= 1_000_000_000, "the key was not taken"
+
+    with Keyboard(near, IDS[:2]) as keyboard:
+        fly_virtual(
+            session,
+            World(world_config(plan, 1), 1),
+            period_ns=50_000_000,
+            watchers=(),
+            interrupts=Interrupts(),
+            pace=type_late,
+            controls=(keyboard,),
+        )
+        assert keyboard.prompt() == HELP
+    assert session.runner.phase is Phase.DONE
+    assert session.runner.reason == "stopped by the operator"

@@ -225,17 +225,19 @@ def _gs(
 
 
 class Answering:
-    """Stands in for the flights of a machine."""
+    """Stands in for the flights of a machine; those with ``!`` are suspended, and known by their process alone."""
 
     def __init__(self, *missions: str) -> None:
         self.orders: list[tuple[str, str]] = []
         self._found = [
             (Path(f"/run/{name}.sock"), {"mission": name, "log": f"/logs/{name}.tlog", "pid": k, "vehicles": [1, 3, 5]})
             for k, name in enumerate(missions, start=70)
+            if not name.endswith("!")
         ]
+        self._silent = [Path(f"/run/{name[:-1]}.sock") for name in missions if name.endswith("!")]
 
     def flights(self, _folder: Path) -> tuple[list[tuple[Path, dict[str, Any]]], list[Path]]:
-        return self._found, []
+        return self._found, self._silent
 
     def ask(self, path: Path, request: dict[str, Any], _timeout_s: float) -> dict[str, Any]:
         self.orders.append((path.stem, request["order"]))
@@ -258,7 +260,14 @@ class Answering:
         (["a", "b"], ["hold", "--flight", "b"], 0, [("b", "hold")], "b: hold: taken"),
         (["a", "b"], ["hold", "--flight", "b.tlog"], 0, [("b", "hold")], "b: hold: taken"),
         (["a", "b"], ["hold", "--flight", "70"], 0, [("a", "hold")], "a: hold: taken"),
-        (["a", "b"], ["hold", "--flight", "c"], 2, [], "no such flight is under way; there are: a, log"),
+        (["a", "b"], ["hold", "--flight", "c"], 1, [], "--flight c: no such flight answers; there are: a, log"),
+        (["a", "9!"], ["hold", "--flight", "9"], 1, [], "--flight 9: process 9 does not answer"),
+        (["a", "9!"], ["hold", "--flight", "c"], 1, [], "process 9 does not answer, and may be the one that is meant"),
+        (["9!"], ["hold", "--flight", "c"], 1, [], "process 9 does not answer, and may be the one that is meant"),
+        (["9!"], ["hold"], 1, [], "under way on this machine; process 9 does not answer"),
+        (["8!", "9!"], ["hold"], 1, [], "processes 8, 9 do not answer"),
+        (["a", "9!"], ["hold"], 0, [("a", "hold")], "process 9 does not answer"),
+        (["9!"], [], 0, [], "process 9 does not answer"),
         (["a"], [], 0, [], "/logs/a.tlog"),
     ],
 )

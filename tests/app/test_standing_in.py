@@ -20,7 +20,7 @@ from groundstation.app.loop import FlightClock, Interrupts, Waiting, fly_real
 from groundstation.app.progress import FlightDisplay, Screen
 from groundstation.app.session import Session
 from groundstation.mavlink.station import Outgoing
-from groundstation.mission.runner import Note, Runner
+from groundstation.mission.runner import Note, Phase, Runner
 from groundstation.records.tlog import TlogReader, TlogWriter
 from tests.app.flights import SECOND_NS, pair
 
@@ -267,3 +267,12 @@ def test_descriptors_that_change_hands_between_sources_do_not_end_the_waiting() 
         assert waiting.wait(1.0) == [0]
         for descriptor in (again, write, other):
             os.close(descriptor)
+
+
+def test_no_distance_is_shown_before_there_is_one() -> None:
+    session = Session(Runner(pair(), 0), None)
+    session.runner.phase = Phase.ARM
+    display = FlightDisplay(Console(file=io.StringIO()), pair())
+    assert "distance" not in display._line(session, 0, "").plain
+    session.runner.figures.min_distance_m = 1.234
+    assert "smallest distance 1.23 m" in display._line(session, 0, "").plain

@@ -51,6 +51,13 @@ def test_a_key_that_lost_or_won_a_byte_is_refused_and_not_shown(tmp_path: Path, 
     assert content == b"" or repr(content)[2:10] not in str(error.value)
 
 
+@pytest.mark.parametrize("content", [bytes(32), b"0" * 64, base64.b64encode(bytes(32))])
+def test_the_key_that_stands_for_no_signing_is_refused(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(UserError, match="32 bytes of zero are what MAVLink takes for no key at all"):
+        read_key(_file(tmp_path, content))
+    assert read_key(_file(tmp_path, bytes(31) + b"\1")) == SecretKey(bytes(31) + b"\1")
+
+
 def test_an_empty_passphrase_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="passphrase is empty"):
         read_key(_file(tmp_path, b"passphrase:  \n"))

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import io
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -374,12 +375,36 @@ def test_full_disk_ends_the_recording_and_not_the_flight() -> None:
     for number in range(500):
         writer.tick(number * 20_000_000, number)
         writer.received(0, "p", heartbeat(1), number * 20_000_000)
-    assert writer.problem == "log: recording stopped: No space left on device; the flight goes on without a log"
+    assert writer.problem == "log: recording stopped: No space left on device"
     kept = disk.getvalue()
     assert len(kept) == 200
     assert [record.number for record in TlogReader(kept) if isinstance(record, Tick)] == [0, 1]
     writer.close()
     writer.close()
+
+
+def test_a_file_that_is_deleted_or_replaced_is_noticed_within_a_second(tmp_path: Path) -> None:
+    def ticks_until_told(path: Path, mischief: Callable[[], object]) -> tuple[int, str]:
+        with TlogWriter(path, EPOCH_US) as writer:
+            for number in range(200):
+                if number == 60:
+                    mischief()
+                writer.tick(number * 20_000_000, number)
+                if writer.problem is not None:
+                    return number, writer.problem.partition("recording stopped: ")[2]
+        raise AssertionError("never told")
+
+    deleted = "the file was deleted or moved while it was written"
+    path, folder = tmp_path / "a.tlog", tmp_path / "folder"
+    assert ticks_until_told(path, path.unlink) == (100, deleted)
+    folder.mkdir()
+    assert ticks_until_told(folder / "b.tlog", lambda: folder.rename(tmp_path / "away")) == (100, deleted)
+    other = tmp_path / "other"
+    other.write_bytes(b"")
+    assert ticks_until_told(tmp_path / "c.tlog", lambda: other.replace(tmp_path / "c.tlog")) == (
+        100,
+        "the file was replaced while it was written",
+    )
 
 
 def test_small_bites_lose_nothing() -> None:
@@ -404,7 +429,7 @@ def test_unusable_files_are_told(tmp_path: Path) -> None:
         with pytest.raises(UserError, match=words) as caught:
             read_tlog(path)
         assert str(path) in str(caught.value)
-    with pytest.raises(UserError, match="cannot read"):
+    with pytest.raises(UserError, match="is no regular file, expected a log"):
         read_tlog(tmp_path)
     with pytest.raises(UserError, match="cannot create the log"):
         TlogWriter(tmp_path / "no folder" / "flight.tlog", EPOCH_US)
