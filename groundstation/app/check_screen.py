@@ -76,13 +76,19 @@ def _cells(row: CheckRow) -> tuple[Any, ...]:
         _figure(1000.0 * row.clock_s, "±{:.0f} ms"),
         f"{_figure(100.0 * row.battery, '{:.0f}')}/{100.0 * row.battery_need:.0f} %",
         row.failsafe or "-",
-        Text("ready", style="bold green") if row.ready else Text("not ready", style="bold red"),
+        _state(row),
     )
 
 
 def rows_as_values(rows: Sequence[CheckRow]) -> list[dict[str, Any]]:
     """The same for scripts."""
     return [{**asdict(row), "ready": row.ready} for row in rows]
+
+
+def _state(row: CheckRow) -> Text:
+    if row.ready:
+        return Text("ready", style="bold green")
+    return Text("not ready" if row.problems else "not checked", style="bold red")
 
 
 def _figure(value: float, form: str) -> str:

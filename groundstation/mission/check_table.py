@@ -39,6 +39,7 @@ class CheckRow:
         battery: share that is left.
         battery_need: share that the mission takes, reserve included.
         failsafe: as planned, or how many of its parameters are not.
+        checked: every check of it came to an end; where the mission was refused before, nothing is known.
         problems: why it is not ready.
         notes: what else is worth a word.
     """
@@ -61,13 +62,14 @@ class CheckRow:
     battery: float
     battery_need: float
     failsafe: str
+    checked: bool
     problems: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
     def ready(self) -> bool:
         """Whether nothing speaks against arming it."""
-        return not self.problems
+        return self.checked and not self.problems
 
 
 def check_rows(
@@ -77,6 +79,7 @@ def check_rows(
     checks: Checks,
     *,
     rates_hz: Sequence[tuple[float, float]],
+    checked: Sequence[bool],
     problems: Sequence[str],
     now_ns: int,
 ) -> list[CheckRow]:
@@ -88,6 +91,7 @@ def check_rows(
         frame: places in the team frame.
         checks: firmware, estimator, battery, failsafes.
         rates_hz: positions and attitudes counted, by vehicle.
+        checked: whose checks came to an end, by vehicle.
         problems: lines that begin with the vehicle's name.
         now_ns: time of the last tick.
     """
@@ -121,6 +125,7 @@ def check_rows(
                 battery=standing.battery,
                 battery_need=standing.battery_need,
                 failsafe=standing.failsafe if heard else "",
+                checked=checked[i],
                 problems=tuple(text.removeprefix(prefix) for text in problems if text.startswith(prefix)),
                 notes=tuple(checks.notes(i, now_ns)) if heard else (),
             )

@@ -39,7 +39,7 @@ class Standing:
         estimator: "good", what is wrong with it, or "not told".
         battery: what is left, 0 to 1, NaN where it is not told.
         battery_need: what has to be, 0 to 1.
-        failsafe: "as planned", how many parameters are wrong, or "not told".
+        failsafe: "as planned", how many parameters are wrong, unusual or set by the flight, or "not told".
     """
 
     firmware: str
@@ -55,16 +55,17 @@ class Checks:
     Args:
         plan: limits, pads.
         station: what is asked goes out by it.
+        look_only: set nothing, whatever the mission says.
 
     Attributes:
         failsafe: what the team does by itself.
     """
 
-    def __init__(self, plan: MissionPlan, station: Station) -> None:
+    def __init__(self, plan: MissionPlan, station: Station, *, look_only: bool = False) -> None:
         self._plan, self._station = plan, station
         self.failsafe: FailsafePlan = make_failsafe(plan)
         self._needs = battery_needs(plan, self.failsafe)
-        self._parameters = ParameterCheck(plan, station, self.failsafe)
+        self._parameters = ParameterCheck(plan, station, self.failsafe, look_only=look_only)
         self._ids = [vehicle.id for vehicle in plan.spec.vehicles]
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         self._asked_ns = {name: np.full(plan.size, NEVER, dtype=np.int64) for name in ("version", "estimator")}
@@ -165,13 +166,15 @@ class Checks:
         fleet, findings = self._station.fleet, self._parameters.findings(vehicle)
         version = int(fleet.firmware[vehicle])
         told = fleet.estimator_ns[vehicle] != NEVER
-        grave = sum(finding.grave for finding in findings)
+        later = len(self._parameters.later(vehicle))
+        grave = len(self._parameters.grave_findings(vehicle))
         if self._parameters.waiting(vehicle) is not None:
             failsafe = "not read"
         elif not self._parameters.answers(vehicle):
             failsafe = "not told"
         else:
-            failsafe = f"{grave} wrong" if grave else f"{len(findings)} unusual" if findings else "as planned"
+            counts = ((grave, "wrong"), (later, "to be set"), (len(findings), "unusual"))
+            failsafe = next((f"{count} {word}" for count, word in counts if count), "as planned")
         return Standing(
             firmware="" if version == UNKNOWN else version_words(version),
             estimator=(self._estimator_trouble(vehicle, now_ns) or "good") if told else "not told",

@@ -114,14 +114,14 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
     down_s, words = {
         "return": (
             back.down_s,
-            f"they hold for {spec.hold_s:g} s, return one by one at {back.height_m.min():.1f} to {back.top_m:.1f} m,"
-            f" and land on their pads; all down after {back.down_s:.0f} s",
+            f"they are asked to hold for {spec.hold_s:g} s, return one by one at {back.height_m.min():.1f} to"
+            f" {back.top_m:.1f} m, and land on their pads; all down after {back.down_s:.0f} s",
         ),
         "land": (
             spec.hold_s + _top_m(plan) / _SINK_M_S + _SETTLE_S,
-            f"they hold for {spec.hold_s:g} s and land where they are",
+            f"they are asked to hold for {spec.hold_s:g} s and land where they are",
         ),
-        "hold": (math.inf, f"they hold until they are taken over or their batteries are low: {room}"),
+        "hold": (math.inf, f"they are asked to hold until they are taken over or their batteries are low: {room}"),
         "own": (math.inf, "they do what their own parameters say"),
     }[action]
     home_m = plan.pads_enu_m[:, 2]

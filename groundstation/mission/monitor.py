@@ -24,20 +24,15 @@ __all__ = ["Findings", "Monitor", "Sight"]
 
 _FIRST_SHARE = 0.25  # of r: how much larger an obstacle is at once
 _CONSEQUENCES = {
-    Reaction.SAY: ("", ""),
-    Reaction.HOLD: ("holding", "holding"),
-    Reaction.HOME: ("everybody comes back", "it comes back, the others go on"),
-    Reaction.LAND: (
-        "it lands where it is when nobody is below, the others come back",
-        "it lands where it is when nobody is below, the others go on",
-    ),
-    Reaction.RELEASE: (
-        "it is released and not fought over, the others come back",
-        "it is released and not fought over, the others go on",
-    ),
-    Reaction.ALL_HOME: ("everybody comes back", "everybody comes back"),
-    Reaction.SILENCE: ("setpoints end, the autopilots' own failsafe takes over",) * 2,
+    Reaction.SAY: "",
+    Reaction.HOLD: "holding",
+    Reaction.HOME: "everybody comes back",
+    Reaction.LAND: "it lands where it is when nobody is below",
+    Reaction.RELEASE: "it is released and not fought over",
+    Reaction.ALL_HOME: "everybody comes back",
+    Reaction.SILENCE: "setpoints end, the autopilots' own failsafe takes over",
 }
+_SEVERAL_LAND = "they land where they are when nobody is below"
 
 
 class Monitor:
@@ -58,6 +53,7 @@ class Monitor:
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._gone: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._lands: BoolArray = np.zeros(n, dtype=np.bool_)  # where it is, by a finding
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
 
     @property
@@ -92,9 +88,13 @@ class Monitor:
             What should happen.
         """
         findings = Findings()
+        found: list[tuple[Finding, Reaction]] = []
         for watch in self._watches:
-            for finding in watch.look(sight, ~self._gone):
-                self._take(finding, findings, sight)
+            found += [(finding, self._take(finding, findings, sight)) for finding in watch.look(sight, ~self._gone)]
+        # Words come last: whether others are left to come back is known when everything is found.
+        others = bool((~(self._gone | self._lands | self.blind | sight.excused)).any())
+        for finding, reaction in found:
+            self._tell(finding, reaction, findings, sight, others=others)
         return findings
 
     def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, landing: BoolArray, now_ns: int) -> Poses:
@@ -123,8 +123,8 @@ class Monitor:
         extra_m: FloatArray = np.where((unsteered | strays) & up, growing_m, 0.0)
         return replace(poses, sinking=(self.blind | self.foreign) & up, extra_radius_m=extra_m)
 
-    def _take(self, finding: Finding, findings: Findings, sight: Sight) -> None:
-        """Puts a finding into words and lists."""
+    def _take(self, finding: Finding, findings: Findings, sight: Sight) -> Reaction:
+        """Puts whom a finding concerns into lists; returns what is done about it."""
         rows, reaction = list(finding.vehicles), finding.reaction
         known = all(self.blind[row] or self._gone[row] for row in rows) and bool(rows)
         if finding.lost:
@@ -132,23 +132,46 @@ class Monitor:
             self.blind[rows] = True
         if known and (finding.lost or reaction is Reaction.HOME):
             reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
-        consequence = _CONSEQUENCES[reaction][sight.going_on]
-        subject = f"vehicle {sight.fleet.sysid[rows[0]]}: " if len(rows) == 1 else ""
-        text = f"{subject}{finding.what}" + (f"; {consequence}" if consequence else "")
-        findings.alarms.append(text)
-        if reaction in (Reaction.SAY, Reaction.HOLD):
-            return
         if reaction is Reaction.LAND:
+            self._lands[rows] = True
             findings.land += rows
         elif reaction is Reaction.RELEASE:
             self._gone[rows] = True
             findings.release += rows
         elif reaction is Reaction.HOME:
             findings.home += rows
-        elif reaction is Reaction.SILENCE:
+        return reaction
+
+    def _tell(self, finding: Finding, reaction: Reaction, findings: Findings, sight: Sight, *, others: bool) -> None:
+        """Puts a finding into words, and says what they are for: an alarm, or a reason too."""
+        rows = finding.vehicles
+        subject = f"vehicle {sight.fleet.sysid[rows[0]]}" if len(rows) == 1 else ""
+        consequence = _consequence(reaction, several=len(rows) > 1, going_on=sight.going_on, others=others)
+        text = (f"{subject}: " if subject else "") + finding.what + (f"; {consequence}" if consequence else "")
+        findings.alarms.append(text)
+        if reaction in (Reaction.SAY, Reaction.HOLD):
+            return
+        if reaction is Reaction.SILENCE:
             findings.silence = text
         if sight.going_on and reaction in (Reaction.LAND, Reaction.RELEASE, Reaction.HOME):
             findings.gone.append(text)
-        elif findings.abort is None:
-            findings.abort = text
+        else:
+            findings.aborts.setdefault(subject or finding.what, text)
         findings.urgent |= finding.urgent
+
+
+def _consequence(reaction: Reaction, *, several: bool, going_on: bool, others: bool) -> str:
+    """What follows, in words.
+
+    Args:
+        reaction: what is done.
+        several: it concerns more than one vehicle.
+        going_on: the mission goes on without whom it concerns.
+        others: somebody is left who comes back, or goes on.
+    """
+    if reaction is Reaction.HOME and going_on:
+        return "it comes back, the others go on" if others else "it comes back"
+    words = _SEVERAL_LAND if several and reaction is Reaction.LAND else _CONSEQUENCES[reaction]
+    if others and reaction in (Reaction.LAND, Reaction.RELEASE):
+        return f"{words}, the others {'go on' if going_on else 'come back'}"
+    return words

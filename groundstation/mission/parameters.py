@@ -44,10 +44,13 @@ class ParameterCheck:
         plan: autopilots, links, whether to set what is wrong.
         station: what is asked goes out by it.
         failsafe: what is asked of each vehicle.
+        look_only: set nothing, also where the mission says so; what a flight would set is told and not refused.
     """
 
-    def __init__(self, plan: MissionPlan, station: Station, failsafe: FailsafePlan) -> None:
+    def __init__(self, plan: MissionPlan, station: Station, failsafe: FailsafePlan, *, look_only: bool = False) -> None:
         self._plan, self._station = plan, station
+        self._sets = plan.spec.failsafe.set_parameters and not look_only
+        self._sets_later = plan.spec.failsafe.set_parameters and look_only
         self._vehicles = [_Vehicle() for _ in range(plan.size)]
         self._rules = [plan.autopilots[i].failsafes.rules(failsafe.wishes[i]) for i in range(plan.size)]
         for vehicle in range(plan.size):
@@ -96,10 +99,19 @@ class ParameterCheck:
         of = self._vehicles[vehicle]
         return of.findings if of.done else []
 
+    def later(self, vehicle: int) -> list[Finding]:
+        """What the flight will set before arming, since the mission says so; empty where this run may set it itself."""
+        return [finding for finding in self.findings(vehicle) if self._sets_later and finding.wanted is not None]
+
+    def grave_findings(self, vehicle: int) -> list[Finding]:
+        """What nothing may fly with, and what the flight will not set by itself."""
+        later = self.later(vehicle)
+        return [finding for finding in self.findings(vehicle) if finding.grave and finding not in later]
+
     def grave(self, vehicle: int) -> list[str]:
         """What nothing may fly with, each with its remedy."""
         of = self._vehicles[vehicle]
-        grave = [finding for finding in self.findings(vehicle) if finding.grave]
+        grave = self.grave_findings(vehicle)
         stubborn = [finding for finding in grave if of.tries.get(finding.name)]
         by_hand = [finding for finding in grave if finding.wanted is None and finding not in stubborn]
         settable = [finding for finding in grave if finding not in stubborn and finding not in by_hand]
@@ -128,7 +140,12 @@ class ParameterCheck:
                 " known: look at it by hand"
             )
             return lines
-        lines += [f"unusual: {finding.text()}" for finding in of.findings if not finding.grave]
+        later = self.later(vehicle)
+        if later:
+            changes = (f"{item.name} from {plain(item.value)} to {plain(item.wanted or 0.0)}" for item in later)
+            lines.append(f"to be set before arming, by `gs fly` or `gs check --fix`: {', '.join(changes)}")
+        unusual = [finding for finding in of.findings if not finding.grave and finding not in later]
+        lines += [f"unusual: {finding.text()}" for finding in unusual]
         if of.missing:
             lines.append(f"its firmware has no {', '.join(of.missing)}; look up what it does instead")
         return lines
@@ -167,7 +184,7 @@ class ParameterCheck:
         for name, before in of.before.items():
             if name in values and values[name] != before:
                 of.changed[name] = (of.changed.get(name, (before, before))[0], values[name])
-        of.done = not (self._plan.spec.failsafe.set_parameters and self._set(vehicle, of, values))
+        of.done = not (self._sets and self._set(vehicle, of, values))
 
     def _set(self, vehicle: int, of: _Vehicle, values: dict[str, float]) -> bool:
         """Sets what is wrong; returns whether there is anything to wait for."""

@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
+from groundstation.mission.blame import HELP_IN_THE_AIR
 from groundstation.mission.check_table import CheckRow, check_rows
 from groundstation.mission.checks import Checks
 from groundstation.mission.plan import MissionPlan
@@ -30,6 +31,7 @@ _UNANSWERED = 2  # commands in a row, each sent four times: on a lossy link this
 _PROBE_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_ASKS = 5  # unanswered, then the origin is taken from the two positions
 _SYNC_SAMPLES = 3
+_ARMED_PATIENCE_NS = 3 * _SECOND_NS  # heartbeats and landed states of the whole team
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
 _ROUND_TRIP_SPARE_S = 0.15
 
@@ -69,9 +71,10 @@ class Preflight:
         plan: rates, pads, limits.
         station: what is asked goes out by it.
         frame: settled by the runner when all is well.
+        look_only: set no parameters, whatever the mission says.
     """
 
-    def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame) -> None:
+    def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame, *, look_only: bool = False) -> None:
         self._plan, self._station, self._frame = plan, station, frame
         self._rates = [_Rates() for _ in range(plan.size)]
         self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
@@ -82,7 +85,9 @@ class Preflight:
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
-        self.checks = Checks(plan, station)
+        self._armed_ns = NEVER
+        self._checked = [False] * plan.size
+        self.checks = Checks(plan, station, look_only=look_only)
 
     def step(self, now_ns: int, said: Mapping[int, str]) -> GroundState:
         """Asks for what is missing and looks at what is there.
@@ -97,6 +102,7 @@ class Preflight:
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
         positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
+        self._checked = [False] * self._plan.size
         held: list[str] = []  # told together, when nothing else is waited for
         if (team := self.checks.team_problem()) is not None:
             held.append(f"mission: {team}")
@@ -118,9 +124,9 @@ class Preflight:
                     f" {autopilot.mav_autopilot}; correct vehicles[{vehicle}].autopilot"
                 )
                 continue
-            if fleet.armed[vehicle]:
-                state.fatal.append(f"{name}: is armed already; disarm it before the mission")
-                self.checks.armed(vehicle)
+            if fleet.armed.any():  # then nothing is asked of the others, and nothing set
+                if fleet.armed[vehicle]:
+                    self._armed(vehicle, now_ns, state)
                 continue
             self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
             self._ask_for_origin(vehicle, now_ns)
@@ -135,6 +141,7 @@ class Preflight:
             )
             held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
             state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
+            self._checked[vehicle] = problem is None
             if problem is not None:
                 state.waiting.append(f"{name}: {problem}")
             self._tell_slow(vehicle, state)
@@ -148,8 +155,35 @@ class Preflight:
         """What was found, a row for each vehicle."""
         rates_hz = [rates.hz for rates in self._rates]
         return check_rows(
-            self._plan, self._station, self._frame, self.checks, rates_hz=rates_hz, problems=problems, now_ns=now_ns
+            self._plan,
+            self._station,
+            self._frame,
+            self.checks,
+            rates_hz=rates_hz,
+            checked=self._checked,
+            problems=problems,
+            now_ns=now_ns,
         )
+
+    def _armed(self, vehicle: int, now_ns: int, state: GroundState) -> None:
+        """Refuses a vehicle that is armed, when there was time to hear everybody and whether they are in the air."""
+        fleet = self._station.fleet
+        name = f"vehicle {self._plan.spec.vehicles[vehicle].id}"
+        self.checks.armed(vehicle)
+        if self._armed_ns == NEVER:
+            self._armed_ns = now_ns
+        landed = int(fleet.landed_state[vehicle])
+        if landed == 0 and now_ns - self._rates[vehicle].asked_ns >= _SECOND_NS:
+            self._request_streams(vehicle, now_ns)
+        if now_ns - self._armed_ns < _ARMED_PATIENCE_NS:
+            state.waiting.append(f"{name}: is armed; whether it is in the air is being found out")
+        elif landed == LANDED_ON_GROUND:
+            state.fatal.append(f"{name}: is armed already; disarm it before the mission")
+        else:
+            # Who disarms a vehicle that flies lets it fall.
+            mode = self._plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
+            where = f"is in the air, in {mode}" if landed else f"is armed, in {mode}, and may be in the air"
+            state.fatal.append(f"{name}: {where}; {HELP_IN_THE_AIR}")
 
     # Streams
 

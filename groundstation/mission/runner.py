@@ -22,6 +22,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.arming import Arming
+from groundstation.mission.blame import HELP_IN_THE_AIR, Blame, still_flying
 from groundstation.mission.check_table import CheckRow
 from groundstation.mission.climb import Climb
 from groundstation.mission.failsafe import FailsafePlan, out_of_turn
@@ -60,6 +61,7 @@ class Runner:
         plan: what to fly.
         start_ns: time at which it begins, on the clock of all other times.
         check_only: stop after the preflight checks, arm nothing.
+        look_only: set no parameters either, whatever the mission says; tell what a flight would set.
         whole_frames: ``receive`` is given whole frames on every link, as from a log, whatever the links were.
         take_over: the vehicles are in the air already; take them over and bring them home, see ``takeover``.
 
@@ -77,6 +79,7 @@ class Runner:
         start_ns: int,
         *,
         check_only: bool = False,
+        look_only: bool = False,
         whole_frames: bool = False,
         take_over: bool = False,
     ) -> None:
@@ -96,7 +99,7 @@ class Runner:
             greeted=[(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer],
         )
         self._frame = TeamFrame(plan)
-        self._preflight = Preflight(plan, self._station, self._frame)
+        self._preflight = Preflight(plan, self._station, self._frame, look_only=look_only)
         self._arming = Arming(plan, self.fleet, self._station.commands)
         self._climb = Climb(plan)
         self._guide = Guide(plan)
@@ -118,6 +121,7 @@ class Runner:
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._words = Words()
+        self._blame = Blame()
         self._lines: list[str] = []
         self._resume_to = Phase.CONNECT
         self._resume_phase_ns = start_ns
@@ -499,15 +503,22 @@ class Runner:
             return
         if not late and not self._steady(now_ns, _DISARMED_NS):
             return
-        names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.lost(now_ns))]
+        lost = self._landing.lost(now_ns)
+        names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(lost)]
         if names:
-            self._abort(f"{', '.join(names)}: not heard from any more, whether it has landed is not known")
+            self._abort(
+                f"{', '.join(names)}: not heard from any more, whether it has landed is not known; if it flies,"
+                f" {HELP_IN_THE_AIR}"
+            )
         names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(self._landing.unsure(now_ns))]
         if names:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
             self._abort(f"{', '.join(names)}: still armed after {down_max_ns // _SECOND_NS} s of landing")
+        flying = self.airborne & ~lost & ~self._killing.asked
+        for text in still_flying(self.fleet, self.plan, flying, now_ns):
+            self._abort(text)
         self._finish(now_ns)
 
     # What the operator says
@@ -650,11 +661,9 @@ class Runner:
             dropped = sorted({*findings.land, *findings.release, *findings.home})
             if not self._flight.gone[dropped].all():
                 self._part(dropped, "; ".join(findings.gone), now_ns)
-        if findings.abort:
-            # One reason for each vehicle, the first: what is found of it later follows from that, and only alarms.
-            subject = findings.abort.partition(":")[0]
-            follows = any(part.startswith(f"{subject}:") for part in self.reason.split("; "))
-            self._give_up(findings.abort, now_ns, urgent=findings.urgent, follows=follows)
+        if findings.aborts:
+            reason = self._blame.of(findings.aborts, self.reason)
+            self._give_up(reason, now_ns, urgent=findings.urgent, follows=not reason)
         if findings.silence:
             self._abort(findings.silence)
             self._enter(Phase.SILENT, now_ns)

@@ -55,7 +55,7 @@ def test_fix_sets_what_a_check_before_has_refused(
     assert (code, values["ready"], values["problems"]) == (0, True, [])
     assert [row["failsafe"] for row in values["vehicles"]] == ["as planned", "as planned"]
     assert any("NAV_DLL_ACT from 0 to 3" in note for note in values["vehicles"][0]["notes"])
-    assert values["failsafe"].startswith("when the ground station is gone: they hold for 20 s and land")
+    assert values["failsafe"].startswith("when the ground station is gone: they are asked to hold for 20 s and land")
     assert "as planned" in err
     assert "px4 1.17.0 dev" in err
     assert all(pilot.params["NAV_DLL_ACT"] == 3 for pilot in server.world.autopilots)

@@ -59,6 +59,7 @@ class Checked:
         *,
         change: Callable[[WorldConfig], WorldConfig] | None = None,
         prepare: Callable[[World], None] | None = None,
+        look_only: bool = False,
     ) -> None:
         from groundstation.app.emulator import world_config
 
@@ -66,7 +67,7 @@ class Checked:
         self.world = World(config if change is None else change(config), 1)
         if prepare is not None:
             prepare(self.world)
-        self.runner = Runner(plan, 0, check_only=True)
+        self.runner = Runner(plan, 0, check_only=True, look_only=look_only)
         self.sent: dict[int, int] = {}
         self.now_ns = 0
         session = Session(self.runner, None)

@@ -49,9 +49,7 @@ MissionOption = Annotated[
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
 ]
-FixOption = Annotated[
-    bool, typer.Option("--fix", help="Set message rates, and parameters that are not as the mission needs them.")
-]
+FixOption = Annotated[bool, typer.Option("--fix", help="Set parameters that are not as the mission needs them.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
 
 
@@ -110,12 +108,12 @@ def fly(
 def check(
     mission: MissionOption, *, fix: FixOption = False, changes: SetOption = None, as_json: JsonOption = False
 ) -> None:
-    """Checks a mission and its vehicles on their pads; arms nothing."""
+    """Checks a mission and its vehicles on their pads; arms nothing, and sets parameters only with --fix."""
     out = Output(as_json=as_json)
     plan = _judged(out, find_config(mission, "missions"), _with_fix(changes, fix=fix))
     clock = FlightClock()
     gate = open_gate(plan, clock.epoch_unix_us, keep_times=True)
-    session = Session(Runner(plan, 0, check_only=True, whole_frames=gate is not None), None, gate)
+    session = Session(Runner(plan, 0, check_only=True, look_only=not fix, whole_frames=gate is not None), None, gate)
     interrupts = Interrupts()
     with ExitStack() as stack:
         if gate is not None:

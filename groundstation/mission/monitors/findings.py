@@ -103,7 +103,7 @@ class Findings:
         land: vehicles that shall land where they are, as soon as nobody is below.
         release: vehicles that are no longer ours; no setpoint, no command.
         gone: why somebody is no longer part of the formation while the mission goes on.
-        abort: why the team shall come back, None when it need not.
+        aborts: why the team shall come back, by subject (``vehicle 3``), the first for each; empty when it need not.
         urgent: the team shall come back even from an operator's hold.
         silence: why setpoints shall end, None when they need not.
     """
@@ -113,9 +113,14 @@ class Findings:
     land: list[int] = field(default_factory=list)
     release: list[int] = field(default_factory=list)
     gone: list[str] = field(default_factory=list)
-    abort: str | None = None
+    aborts: dict[str, str] = field(default_factory=dict)
     urgent: bool = False
     silence: str | None = None
+
+    @property
+    def abort(self) -> str | None:
+        """Everything of ``aborts`` in one line, None when there is nothing."""
+        return "; ".join(self.aborts.values()) or None
 
 
 class Lasting:

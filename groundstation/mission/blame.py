@@ -1,0 +1,73 @@
+"""Why a mission ended early, in words that stay readable: whom to name in full, whom by number, who still flies.
+
+Values only; judges nothing and decides nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from groundstation.core.types import BoolArray
+from groundstation.mavlink.vehicle import Fleet
+from groundstation.mission.plan import MissionPlan
+
+_IN_FULL = 4  # of one flight; the alarms have everybody's words
+HELP_IN_THE_AIR = "take it over (gs fly --take-over) or fly it down"
+
+
+class Blame:
+    """Reasons of the monitors: the first one of each vehicle.
+
+    What is found of a vehicle later follows from that, and only alarms.
+    """
+
+    def __init__(self) -> None:
+        self._named: set[str] = set()
+        self._in_full = 0
+
+    def of(self, aborts: Mapping[str, str], reason: str) -> str:
+        """What one tick adds to the reason of the result.
+
+        Args:
+            aborts: sentences by their subject, ``vehicle 3`` or another.
+            reason: what is in the result already.
+
+        Returns:
+            The first few sentences in full, the others by number; "" when every subject has its reason.
+        """
+        parts = reason.split("; ")
+        new = [
+            subject
+            for subject in aborts
+            if subject not in self._named and not any(part.startswith(f"{subject}:") for part in parts)
+        ]
+        self._named.update(new)
+        told = new[: max(_IN_FULL - self._in_full, 0)]
+        self._in_full += len(told)
+        lines, rest = [aborts[subject] for subject in told], new[len(told) :]
+        if rest:
+            numbers = [subject.removeprefix("vehicle ") for subject in rest if subject.startswith("vehicle ")]
+            others = len(rest) - len(numbers)
+            more = [f"vehicle{'s' * (len(numbers) > 1)} {', '.join(numbers)}"] if numbers else []
+            more += [f"{others} more finding{'s' * (others > 1)}"] if others else []
+            lines.append(f"{' and '.join(more)} too, see the alarms")
+        return "; ".join(lines)
+
+
+def still_flying(fleet: Fleet, plan: MissionPlan, flying: BoolArray, now_ns: int) -> Iterator[str]:
+    """Words for vehicles that fly on when the mission has ended.
+
+    Args:
+        fleet: what the vehicles report.
+        plan: names of modes, limits.
+        flying: armed and not reported to stand on the ground, shape (n,).
+        now_ns: time of the tick.
+    """
+    stale = fleet.heartbeat_stale(now_ns, plan.spec.limits.heartbeat_age_s)
+    for vehicle in np.flatnonzero(flying).tolist():
+        mode = plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
+        known = not stale[vehicle] and fleet.landed_state[vehicle] != 0
+        where = f"is still in the air, in {mode}" if known else f"may still be in the air, in {mode} when last told"
+        yield f"vehicle {fleet.sysid[vehicle]} {where}; {HELP_IN_THE_AIR}"
