@@ -17,6 +17,7 @@ CMD_NAV_LAND = 21
 CMD_NAV_TAKEOFF = 22
 CMD_DO_SET_MODE = 176
 CMD_COMPONENT_ARM_DISARM = 400
+CMD_RUN_PREARM_CHECKS = 401
 CMD_SET_MESSAGE_INTERVAL = 511
 CMD_REQUEST_MESSAGE = 512
 _CUSTOM_MODE_ENABLED = 1.0
@@ -77,6 +78,13 @@ class Autopilot(ABC):
     def once(self, message: str) -> Command:
         """Command that asks for one message now."""
         return Command(f"one {message}", CMD_REQUEST_MESSAGE, (float(message_id(message)),), asks=True)
+
+    def run_prearm_checks(self) -> Command:
+        """Command that makes it say by STATUSTEXT why it would not be armed; refused when armed, arms nothing.
+
+        ArduCopter tells "PreArm: ..." each time; PX4 reports its failing checks anew.
+        """
+        return Command("its own checks", CMD_RUN_PREARM_CHECKS, asks=True)
 
     def takeoff(self, height_m: float) -> Command | None:
         """Command that climbs to a height above where it stands, None where velocity setpoints do it.

@@ -25,6 +25,10 @@ _ENOUGH = 0.6  # of the rate asked for: what a lossy link leaves
 _RATE_MIN_HZ = 5.0
 _TRIES = 3
 _ASK_AGAIN_NS = 5 * _SECOND_NS
+_REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * _SECOND_NS, 10 * _SECOND_NS
+_REASON_PATIENCE_NS = 3 * _SECOND_NS
+REASONS_NS = 12 * _SECOND_NS
+"""Words older than this no longer tell why a vehicle cannot be armed, where newer ones are there."""
 _ORIGIN_AGAIN_NS = 2 * _SECOND_NS
 _ORIGIN_TRIES = 5
 _UNANSWERED = 2  # commands in a row, each sent four times: on a lossy link this is no chance
@@ -80,6 +84,9 @@ class Preflight:
         self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_set: FloatArray = np.zeros(plan.size)
         self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._reason_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._reason_asks = np.zeros(plan.size, dtype=np.int64)
+        self._unready_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._origin_asks = np.zeros(plan.size, dtype=np.int64)
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
@@ -321,11 +328,36 @@ class Preflight:
         fleet = self._station.fleet
         if not fleet.prearm_ok[vehicle]:
             self._leave_the_last_flight(vehicle, now_ns)
-            words = said.get(vehicle)
-            return f"not ready to arm{': ' + words if words else ''}; see what the autopilot asks for"
+            self._ask_for_reason(vehicle, now_ns)
+            return f"not ready to arm{self._reason(vehicle, now_ns, said.get(vehicle))}"
+        self._unready_ns[vehicle] = NEVER
         if fleet.landed_state[vehicle] != LANDED_ON_GROUND:
             return f"does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
         return None
+
+    def _ask_for_reason(self, vehicle: int, now_ns: int) -> None:
+        """Has a vehicle that cannot be armed say why, now and then: most say it once, or never unasked."""
+        if self._unready_ns[vehicle] == NEVER:
+            self._unready_ns[vehicle] = now_ns
+        soon = now_ns - self._unready_ns[vehicle] < _REASON_FIRST_NS
+        again = now_ns - self._reason_asked_ns[vehicle] < _REASON_AGAIN_NS
+        if soon or again or self._station.commands.pending(vehicle):
+            return
+        self._reason_asked_ns[vehicle] = now_ns
+        self._reason_asks[vehicle] += 1
+        self._station.commands.request(vehicle, self._plan.autopilots[vehicle].run_prearm_checks())
+
+    def _reason(self, vehicle: int, now_ns: int, words: str | None) -> str:
+        """Why a vehicle cannot be armed, in its own words; the end of a sentence."""
+        if words:
+            return f": {words}; its own checks have to pass"
+        asked = int(self._reason_asks[vehicle])
+        if not asked or (asked == 1 and now_ns - self._reason_asked_ns[vehicle] < _REASON_PATIENCE_NS):
+            return ", and has not said why yet; its own checks have to pass"
+        return (
+            ", and gives no reason (it was asked); see what QGroundControl or Mission Planner show of its checks, or"
+            " restart it"
+        )
 
     def _leave_the_last_flight(self, vehicle: int, now_ns: int) -> None:
         """Asks a vehicle that stands in the mode of its last flight, in which it cannot be armed, to leave it."""

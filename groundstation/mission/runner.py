@@ -34,7 +34,7 @@ from groundstation.mission.monitor import Monitor, Sight
 from groundstation.mission.operator import OperatorCommand, Order, parse_command, refusal
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
-from groundstation.mission.preflight import Preflight
+from groundstation.mission.preflight import REASONS_NS, Preflight
 from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
 from groundstation.mission.takeover import TakeOver, out_of_sight
 from groundstation.mission.words import Words
@@ -293,7 +293,7 @@ class Runner:
 
     def _connect(self, now_ns: int) -> None:
         plan = self.plan
-        state = self._preflight.step(now_ns, self._words.by_vehicle())
+        state = self._preflight.step(now_ns, self._words.by_vehicle(now_ns - REASONS_NS))
         for note in state.notes:
             self._note("info", note)
         self.problems = state.fatal + state.waiting

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from groundstation.mavlink.commands import Outcome
-from groundstation.mavlink.vehicle import Text
+from groundstation.mavlink.vehicle import NEVER, Text
 
 _KEPT = 3
 _WARNING = 4  # MAV_SEVERITY; what is less severe is no reason
@@ -16,7 +16,7 @@ class Words:
 
     def __init__(self) -> None:
         self._refused: dict[int, str] = {}
-        self._said: dict[int, deque[str]] = {}
+        self._said: dict[int, deque[Text]] = {}
 
     def refused(self, outcome: Outcome) -> bool:
         """Takes how a command ended; returns whether it is a refusal that was not known yet."""
@@ -27,15 +27,25 @@ class Words:
         return new
 
     def said(self, text: Text) -> None:
-        """Takes a vehicle's own words."""
+        """Takes a vehicle's own words; what is said again counts as the newest."""
+        if text.severity > _WARNING:
+            return
         kept = self._said.setdefault(text.vehicle, deque(maxlen=_KEPT))
-        if text.severity <= _WARNING and text.text not in kept:
-            kept.append(text.text)
+        for item in kept:
+            if item.text == text.text:
+                kept.remove(item)
+                break
+        kept.append(text)
 
-    def by_vehicle(self) -> dict[int, str]:
-        """What each vehicle refused and said of late."""
+    def by_vehicle(self, since_ns: int = NEVER) -> dict[int, str]:
+        """What each vehicle refused and said of late.
+
+        Args:
+            since_ns: what was said before counts only where nothing was said since.
+        """
         reasons = {vehicle: [words] for vehicle, words in self._refused.items()}
         for vehicle, texts in self._said.items():
+            late = [text for text in texts if text.t_rx_ns >= since_ns] or texts
             if texts:
-                reasons.setdefault(vehicle, []).extend(f"it says: {text}" for text in texts)
+                reasons.setdefault(vehicle, []).extend(f"it says: {text.text}" for text in late)
         return {vehicle: ", ".join(parts) for vehicle, parts in reasons.items()}
