@@ -400,14 +400,16 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
+    formations = {key: shape.formation.points_enu_m for key, shape in shapes.items()}
     for key, shape in shapes.items():
+        of_all = {"pads": pads} if key == "formation" else {}
         check_radius(
             source if key == "formation" else f"{source}: {key}",
-            shape.formation,
-            pads,
+            {f"formation {shape.formation.name}": shape.formation.points_enu_m} | of_all,
             region=region,
             position_error_m=position_error_m,
             positioning=positioning,
+            others=formations | {"pads": pads},
         )
     # Positions are brought to the tick with their velocity; what was not yet said of it counts as delay, and so does
     # the time until the next setpoint.

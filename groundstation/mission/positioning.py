@@ -8,11 +8,12 @@ that wants to be formed more closely than vehicles that wander by GPS can be ove
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import fields, replace
 
 import numpy as np
 
 from groundstation.core.errors import UserError
-from groundstation.core.formation import Formation
 from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import FloatArray
 from groundstation.mission.schema import MissionSpec
@@ -24,6 +25,7 @@ _WANDER_M_S = 0.04
 """Standard deviation of a velocity that GPS and IMU do not notice: at zero command vehicles were seen to wander by up
 to 2.5 m a minute."""
 _DEVIATIONS = 3.0
+_TINY = 1e-6
 
 
 def margin_m(position_error_m: float) -> float:
@@ -59,46 +61,60 @@ def check_tolerances(source: str, spec: MissionSpec, rate_1_s: float) -> None:
 
 def check_radius(
     source: str,
-    formation: Formation,
-    pads_enu_m: FloatArray,
+    places: Mapping[str, FloatArray],
     *,
     region: SafetyRegion,
     position_error_m: float,
     positioning: str,
+    others: Mapping[str, FloatArray] | None = None,
 ) -> None:
     """Refuses an r that the positions cannot keep.
 
     Args:
         source: the mission's name.
-        formation: with its shortest distance.
-        pads_enu_m: shape (n, 3).
+        places: points that the vehicles stand or hover at, shape (n, 3) each, by what they are: formations, pads.
         region: with r.
         position_error_m: standard deviation, one axis.
         positioning: name of the source, for messages.
+        others: places that are judged elsewhere; the r that is named can be kept there too.
 
     Raises:
-        UserError: with the r that could be kept.
+        UserError: with the r that could be kept everywhere, or that there is none.
     """
     margin = margin_m(position_error_m)
-    for what, points in (("formation " + formation.name, formation.points_enu_m), ("pads", pads_enu_m)):
-        room_m = region.room_m(all_offsets(points))
-        if margin >= room_m:
-            r = f"{source}: avoidance.radius_m: {region.radius_m:g} m"
-            if not isinstance(region, SafetySphere):
-                raise UserError(
-                    f"{r} with the {region.name} cannot be kept with {positioning} positions: two of them may be"
-                    f" {margin:.2f} m off against each other, and around the {region.name} there are"
-                    f" {max(room_m, 0.0):.2g} m of room in the {what}; lower radius_m or half_height_m,"
-                    " or move further apart"
-                )
-            shortest = room_m + region.radius_m
-            able = math.floor(100.0 * (shortest - margin) - 1e-9) / 100.0
-            could = f"an r of {able:g} m could be" if able > 0.0 else "no r could be"
-            raise UserError(
-                f"{r} cannot be kept with {positioning} positions: two of"
-                f" them may be {margin:.2f} m off against each other, and the shortest distance of the {what} is"
-                f" {shortest:.3g} m; {could} kept: lower r, or move further apart"
-            )
+    rooms_m = {what: region.room_m(all_offsets(points)) for what, points in places.items()}
+    what = min(rooms_m, key=lambda name: rooms_m[name])
+    if margin < rooms_m[what]:
+        return
+    everywhere = [all_offsets(points) for points in (*places.values(), *(others or {}).values())]
+    r = f"{source}: avoidance.radius_m: {region.radius_m:g} m"
+    apart = f"move further apart, or use better positions than {positioning} (positioning, position_error_m)"
+    if not isinstance(region, SafetySphere):
+        tiny = _shrunk(region)
+        helps = min(tiny.room_m(offsets) for offsets in everywhere) > margin
+        raise UserError(
+            f"{r} with the {region.name} cannot be kept with {positioning} positions: two of them may be"
+            f" {margin:.2f} m off against each other, and around the {region.name} there are"
+            f" {max(rooms_m[what], 0.0):.2g} m of room in the {what};"
+            + (" lower radius_m or half_height_m, or move further apart" if helps else f" no size could be kept: {apart}")
+        )
+    shortest = rooms_m[what] + region.radius_m
+    least = min(region.room_m(offsets) for offsets in everywhere) + region.radius_m
+    able = math.floor(100.0 * (least - margin) - 1e-9) / 100.0
+    remedy = f"an r of {able:g} m could be kept: lower r, or move further apart"
+    if able <= 0.0:
+        remedy = f"no r could be kept: {apart}"
+    raise UserError(
+        f"{r} cannot be kept with {positioning} positions: two of"
+        f" them may be {margin:.2f} m off against each other, and the shortest distance of the {what} is"
+        f" {shortest:.3g} m; {remedy}"
+    )
+
+
+def _shrunk(region: SafetyRegion) -> SafetyRegion:
+    """A region of the same shape that is next to nothing: what would be left if r were lowered as far as can be."""
+    lengths = {field.name: _TINY * getattr(region, field.name) for field in fields(region)}
+    return replace(region, **lengths)
 
 
 def all_offsets(points_m: FloatArray) -> FloatArray:

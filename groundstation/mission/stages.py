@@ -252,6 +252,7 @@ def plan_moves(
         UserError: with key, value, limit and remedy.
     """
     moves: dict[int, MovePlan] = {}
+    places = _places(spec, stages, stage_of_step) | {"pads": pads_enu_m}
     size, least = 1.0, min(region.room_m(all_offsets(stage.formation.points_enu_m)) for stage in stages)
     centre = pads_enu_m.mean(axis=0) + np.array([0.0, 0.0, spec.takeoff.height_m])
     for number, step in enumerate(spec.steps):
@@ -274,18 +275,29 @@ def plan_moves(
                         f"{key}.scale: {step.move.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
                         f" {radius:g} m (avoidance.radius_m); scale by more, or lower the radius"
                     )
-                smaller = Formation(stage.formation.name, size * points, stage.formation.edges)
                 check_radius(
                     f"{key}.scale",
-                    smaller,
-                    pads_enu_m,
+                    {f"formation {stage.formation.name}": size * points},
                     region=region,
                     position_error_m=position_error_m,
                     positioning=positioning,
+                    others=places,
                 )
             centre = centre + move.by_enu_m
             _check_fence(spec, size * points, centre, floor_m, key)
     return moves, least
+
+
+def _places(spec: MissionSpec, stages: Sequence[Stage], stage_of_step: Sequence[int]) -> dict[str, FloatArray]:
+    """Points of the formations in every size that the moves give them, by number of the step."""
+    places: dict[str, FloatArray] = {}
+    size = 1.0
+    for number, step in enumerate(spec.steps):
+        stage = stages[stage_of_step[number]]
+        size = 1.0 if step.form is not None else size * (step.move.scale if step.move is not None else 1.0)
+        if stage.scale.kind != "free" or step.form is not None:
+            places[f"steps[{number}]"] = size * stage.formation.points_enu_m
+    return places
 
 
 def _timed(step: MoveStep, points_m: FloatArray, speed_limit_m_s: float, accel_m_s2: float, key: str) -> MovePlan:

@@ -92,7 +92,21 @@ def test_the_margin_is_three_deviations_of_a_difference() -> None:
             lambda: mission("px4_cube8", "formation_scale=4.0"),
             "the shortest distance of the formation cube8 is 4 m; an r of 2.98 m could be kept",
         ),
-        (lambda: cube8("positioning=gps"), "no r could be kept"),
+        (lambda: cube8("positioning=gps"), "no r could be kept: move further apart, or use better positions than gps"),
+        # The formation (8 m) would leave an r of 1.63 m, the pads (5 m) leave none.
+        (
+            lambda: mission("px4_cube8", "position_error_m=1.5"),
+            "6.36 m off against each other, and the shortest distance of the pads is 5 m; no r could be kept: move",
+        ),
+        (
+            lambda: mission(
+                "px4_cube8",
+                "position_error_m=1.5",
+                "avoidance.shape=cylinder",
+                "avoidance.half_height_m=2.0",
+            ),
+            "of room in the pads; no size could be kept: move further apart",
+        ),
         (
             lambda: cube8("avoidance.radius_m=0.97", "avoidance.activation_m=1.0"),
             "0.97 m cannot be kept with mocap positions: two of them may be 0.04 m off",
