@@ -7,6 +7,7 @@ stop when the controller stops. Decides nothing about the mission.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
@@ -43,6 +44,9 @@ class Station:
         start_ns: time that goes out as "since boot", taken as zero.
         streams: links on which a frame may arrive in two pieces.
         greeted: (link, peer) of those that wait to be spoken to; they get heartbeats until somebody is heard there.
+
+    Attributes:
+        bytes_received: by link, whoever sent them.
     """
 
     def __init__(
@@ -52,6 +56,7 @@ class Station:
         self.commands = CommandQueue(len(fleet))
         self.parameters = ParamDesk(len(fleet))
         self.setpoints_sent = 0
+        self.bytes_received: Counter[int] = Counter()
         self._start_ns = start_ns
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
         self._splitters = Splitters()
@@ -70,6 +75,7 @@ class Station:
             data: as received.
             t_rx_ns: when.
         """
+        self.bytes_received[link] += len(data)
         for piece in self._splitters.feed((link, peer), data, stream=link in self._streams):
             if isinstance(piece, Frame):
                 self._received.append(ReceivedFrame(piece, link, peer, t_rx_ns))

@@ -6,6 +6,7 @@ again. Nothing here waits: the runner calls it once per tick and decides how lon
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -25,6 +26,7 @@ _ENOUGH = 0.6  # of the rate asked for: what a lossy link leaves
 _RATE_MIN_HZ = 5.0
 _TRIES = 3
 _ASK_AGAIN_NS = 5 * _SECOND_NS
+_COUNT_NS = 2 * _SECOND_NS
 _REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * _SECOND_NS, 10 * _SECOND_NS
 _REASON_PATIENCE_NS = 3 * _SECOND_NS
 REASONS_NS = 12 * _SECOND_NS
@@ -94,6 +96,8 @@ class Preflight:
         self._noted: set[str] = set()
         self._armed_ns = NEVER
         self._checked = [False] * plan.size
+        self._bytes_ns, self._bytes_then = NEVER, Counter[int]()
+        self._bytes_s: dict[int, float] = {}
         self.checks = Checks(plan, station, look_only=look_only)
 
     def step(self, now_ns: int, said: Mapping[int, str]) -> GroundState:
@@ -105,6 +109,7 @@ class Preflight:
         """
         fleet, state = self._station.fleet, GroundState()
         self._frame.look(fleet, now_ns)
+        self._count_bytes(now_ns)
         off_m = self._frame.off_pad_m(fleet, now_ns)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
@@ -122,7 +127,11 @@ class Preflight:
                 )
                 continue
             if fleet.heartbeat_ns[vehicle] == NEVER:
-                state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
+                if fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
+                    state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
+                else:  # it is there, and what its link cannot carry may be the very heartbeats
+                    self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]), every=True)
+                    state.waiting.append(f"{name}: {self._no_heartbeat(vehicle)}")
                 continue
             autopilot = self._plan.autopilots[vehicle]
             if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
@@ -204,14 +213,15 @@ class Preflight:
             wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
         return wanted
 
-    def _ask_for_streams(self, vehicle: int, now_ns: int, pose_ns: int) -> None:
+    def _ask_for_streams(self, vehicle: int, now_ns: int, pose_ns: int, *, every: bool = False) -> None:
+        """Asks for the streams that are wanted, and counts them; ``every``: again until the vehicle is well heard."""
         fleet, rates = self._station.fleet, self._rates[vehicle]
         new = rates.restarts != fleet.restarts[vehicle]
-        silent = now_ns - max(pose_ns, rates.asked_ns) > _ASK_AGAIN_NS
+        silent = now_ns - max(NEVER if every else pose_ns, rates.asked_ns) > _ASK_AGAIN_NS
         if new:
             self._rates[vehicle] = rates = _Rates(restarts=int(fleet.restarts[vehicle]))
         if new or silent:
-            self._request_streams(vehicle, now_ns)
+            self._request_streams(vehicle, now_ns, quiet=every)
             return
         if self._station.commands.pending(vehicle):
             return
@@ -239,11 +249,12 @@ class Preflight:
             rates.tries += 1
             self._request_streams(vehicle, now_ns)
 
-    def _request_streams(self, vehicle: int, now_ns: int) -> None:
+    def _request_streams(self, vehicle: int, now_ns: int, *, quiet: bool = False) -> None:
+        """Asks for all streams; ``quiet``: nothing else may be sent, whatever is known of the link."""
         rates, autopilot = self._rates[vehicle], self._plan.autopilots[vehicle]
         rates.asked_ns, rates.window_ns = now_ns, NEVER
         wanted = self.wanted_hz(vehicle)
-        if self._plan.rates_of(vehicle).limited:
+        if quiet or self._plan.rates_of(vehicle).limited:
             for message in autopilot.chatter:
                 if message not in wanted:
                     self._station.commands.request(vehicle, autopilot.silence(message))
@@ -263,6 +274,32 @@ class Preflight:
                 f"vehicle {self._plan.spec.vehicles[vehicle].id}: sends {rates.hz[0]:.0f} positions and"
                 f" {rates.hz[1]:.0f} attitudes per second, {planned.pose_hz:.0f} were asked for; flying with that"
             )
+
+    def _no_heartbeat(self, vehicle: int) -> str:
+        """Words for one of which everything arrives but heartbeats."""
+        plan, link = self._plan, self._plan.link_of_vehicle[vehicle]
+        seen = self._bytes_s.get(link)
+        limit_bytes_s = plan.rates_of(vehicle).limit_bytes_s
+        carries = f" of {limit_bytes_s:.0f}" if plan.rates_of(vehicle).limited else ""
+        return (
+            f"is heard on {plan.links[link]}, without a heartbeat: its link is overfull or drops them"
+            + (f" ({seen:.0f}{carries} bytes/s arrive)" if seen is not None else "")
+            + "; lower rates were asked for: lower also what it sends unasked (MAV_n_RATE, SRn_...), put fewer on the"
+            " link, or correct link_bytes_per_s"
+        )
+
+    def _count_bytes(self, now_ns: int) -> None:
+        """What arrives on each link, over the last seconds."""
+        passed_ns = now_ns - self._bytes_ns
+        if passed_ns < _COUNT_NS:
+            return
+        received = self._station.bytes_received
+        if self._bytes_ns != NEVER:
+            self._bytes_s = {
+                link: (received[link] - self._bytes_then[link]) * _SECOND_NS / passed_ns
+                for link in range(len(self._plan.links))
+            }
+        self._bytes_ns, self._bytes_then = now_ns, Counter(received)
 
     # What is not well yet: each returns a problem in words, or None
 
@@ -304,9 +341,11 @@ class Preflight:
         pose_s = _age_s(now_ns, pose_ns)
         if pose_s > limits.pose_age_s:
             age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
+            sends = "none" if pose_s == np.inf else "none any more"
+            yes = f"; it acknowledged the rates and sends {sends}" if self._said_yes(vehicle) else ""
             return (
-                f"position and attitude: {age}, limit {limits.pose_age_s:g} s{self._said_yes(vehicle)}; check its"
-                " estimator and the message rates"
+                f"position and attitude: {age}, limit {limits.pose_age_s:g} s{yes}; check its estimator and the message"
+                " rates"
             )
         if not rates.good:
             if np.isnan(rates.hz).any():
@@ -314,15 +353,14 @@ class Preflight:
             planned = self._plan.rates_of(vehicle)
             return (
                 f"sends {rates.hz[0]:.0f} positions and {rates.hz[1]:.0f} attitudes per second,"
-                f" {planned.pose_hz:.0f} and {planned.attitude_hz:.0f} were asked for{self._said_yes(vehicle)}; is the"
-                " link too slow, or lossy?"
+                f" {planned.pose_hz:.0f} and {planned.attitude_hz:.0f} were asked for"
+                f"{', and acknowledged' if self._said_yes(vehicle) else ''}; is the link too slow, or lossy?"
             )
         return None
 
-    def _said_yes(self, vehicle: int) -> str:
-        """Words for one that acknowledges what it is asked for; what it does is seen elsewhere."""
-        yes = self._rates[vehicle].tries > 1 and self._station.commands.answered[vehicle]
-        return " and acknowledged" if yes else ""
+    def _said_yes(self, vehicle: int) -> bool:
+        """Whether it acknowledges what it is asked for; what it does is seen elsewhere."""
+        return self._rates[vehicle].tries > 1 and self._station.commands.answered[vehicle]
 
     def _readiness(self, vehicle: int, now_ns: int, said: Mapping[int, str]) -> str | None:
         fleet = self._station.fleet

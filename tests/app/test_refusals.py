@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import pytest
 
+from groundstation.mavlink.codec import Frame as WireFrame
+from groundstation.mavlink.codec import FrameSplitter, message_id
 from groundstation.mission.runner import Phase
 from sitl.faults import Fault
-from tests.app.flights import SECOND_NS, Flight, pair
+from sitl.world import Outgoing
+from tests.app.flights import SECOND_NS, Flight, Tamper, pair
 
 
 def _refused(flight: Flight) -> str:
@@ -59,3 +62,40 @@ def test_words_of_the_start_are_forgotten_when_a_vehicle_says_something_newer() 
     )
     assert "EKF attitude" not in _refused(flight)
     assert "vehicle 2: not ready to arm: it says: PreArm: Compass not healthy" in flight.runner.reason
+
+
+HEARTBEAT = message_id("HEARTBEAT")
+
+
+def _without_heartbeats(until_ns: int) -> Tamper:
+    """The second vehicle's heartbeats are lost."""
+
+    def lose(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index != 1 or datagram.t_ns >= until_ns:
+            return [datagram]
+        pieces = FrameSplitter().feed(datagram.data)
+        kept = [piece.raw for piece in pieces if isinstance(piece, WireFrame) and piece.msgid != HEARTBEAT]
+        return [datagram._replace(data=b"".join(kept))] if kept else []
+
+    return lose
+
+
+@pytest.mark.parametrize("autopilots", [("px4", "px4"), ("px4", "arducopter")])
+def test_one_that_is_heard_without_heartbeats_is_told_of_its_link_and_asked_for_lower_rates(
+    autopilots: tuple[str, str],
+) -> None:
+    plan = pair("limits.preflight_s=12", autopilots=autopilots)
+    flight = Flight(plan, tamper=_without_heartbeats(1000 * SECOND_NS))
+    reason = _refused(flight)
+    url = plan.links[plan.link_of_vehicle[1]]
+    assert reason.startswith(f"vehicle 2: is heard on {url}, without a heartbeat: its link is overfull or drops them (")
+    assert " bytes/s arrive); lower rates were asked for" in reason
+    assert "switch it on" not in reason
+    # It was asked, and does as it was asked.
+    assert flight.runner.fleet.seen["ATTITUDE_QUATERNION"][1] > 100
+    assert flight.runner.fleet.seen["ATTITUDE"][1] < 100
+
+
+def test_one_whose_heartbeats_come_after_all_flies() -> None:
+    flight = Flight(pair("steps.1.hold.seconds=1"), tamper=_without_heartbeats(14 * SECOND_NS))
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
