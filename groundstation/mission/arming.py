@@ -82,10 +82,9 @@ class Arming:
         return False
 
     def started_anew(self) -> str | None:
-        """Words for a vehicle that has started anew since the attempt began."""
-        for vehicle in np.flatnonzero(self._fleet.restarts != self._restarts):
-            return f"vehicle {self._fleet.sysid[vehicle]}: has started anew while the team was arming"
-        return None
+        """Words for the vehicles that have started anew since the attempt began, None where none has."""
+        anew = self._fleet.sysid[self._fleet.restarts != self._restarts]
+        return "; ".join(f"vehicle {sysid}: has started anew while the team was arming" for sysid in anew) or None
 
     def why_not(self, waited_s: float, said: Mapping[int, str]) -> str:
         """Words for an attempt that took too long: who, in what state, and what it said."""

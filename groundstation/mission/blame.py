@@ -15,6 +15,7 @@ from groundstation.mission.plan import MissionPlan
 
 _IN_FULL = 4  # of one flight; the alarms have everybody's words
 HELP_IN_THE_AIR = "take it over (gs fly --take-over) or fly it down"
+HELP_ALL_IN_THE_AIR = "take them over (gs fly --take-over) or fly them down"
 
 
 class Blame:
@@ -66,8 +67,15 @@ def still_flying(fleet: Fleet, plan: MissionPlan, flying: BoolArray, now_ns: int
         now_ns: time of the tick.
     """
     stale = fleet.heartbeat_stale(now_ns, plan.spec.limits.heartbeat_age_s)
+    alike: dict[tuple[str, bool], list[str]] = {}
     for vehicle in np.flatnonzero(flying).tolist():
         mode = plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
         known = not stale[vehicle] and fleet.landed_state[vehicle] != 0
-        where = f"is still in the air, in {mode}" if known else f"may still be in the air, in {mode} when last told"
-        yield f"vehicle {fleet.sysid[vehicle]} {where}; {HELP_IN_THE_AIR}"
+        alike.setdefault((mode, bool(known)), []).append(str(fleet.sysid[vehicle]))
+    for (mode, known), names in alike.items():
+        if len(names) <= _IN_FULL:
+            words = "is still in the air, in {}" if known else "may still be in the air, in {} when last told"
+            yield from (f"vehicle {name} {words.format(mode)}; {HELP_IN_THE_AIR}" for name in names)
+        else:
+            words = "are still in the air, in {}" if known else "may still be in the air, in {} when last told"
+            yield f"vehicles {', '.join(names)} {words.format(mode)}; {HELP_ALL_IN_THE_AIR}"

@@ -354,8 +354,8 @@ class Runner:
         blind = np.flatnonzero(now_ns - self._frame.pose_ns(self.fleet) > limits.pose_lost_s * _SECOND_NS)
         problem = self._arming.started_anew()
         if problem is None and len(blind):
-            name = f"vehicle {self.fleet.sysid[blind[0]]}"
-            problem = f"{name}: no position for {limits.pose_lost_s:g} s while the team was arming"
+            words = f"no position for {limits.pose_lost_s:g} s while the team was arming"
+            problem = "; ".join(f"vehicle {sysid}: {words}" for sysid in self.fleet.sysid[blind])
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,14 +11,13 @@ from groundstation.mavlink.codec import Encoder, message_id
 from groundstation.mission.blame import Blame
 from groundstation.mission.runner import Phase
 from sitl.faults import Fault
-from sitl.world import Outgoing, World
+from sitl.world import Outgoing
 from tests.app.flights import SECOND_NS, Flight, pair
 from tests.app.test_preflight import PARAM_SET, Checked, _defaults, _without
 from tests.app.test_take_over import _holds, _in, _left_in_the_air
 
 REMEDY = "take it over (gs fly --take-over) or fly it down"
 LANDED = message_id("EXTENDED_SYS_STATE")
-COMMAND_LONG = message_id("COMMAND_LONG")
 
 
 # Before arming
@@ -47,7 +45,7 @@ def test_one_that_does_not_tell_whether_it_flies_is_taken_for_one_that_does() ->
 
 
 def test_one_that_is_armed_on_the_ground_is_to_be_disarmed_and_the_other_counts_as_not_checked() -> None:
-    checked = Checked(pair("failsafe.set_parameters=true"), prepare=lambda world: world.autopilots[0].arm() and None)
+    checked = Checked(pair("failsafe.set_parameters=true"), prepare=lambda world: world.autopilots[0].arm())
     assert checked.runner.reason == "vehicle 1: is armed already; disarm it before the mission"
     rows = checked.runner.check_rows()
     assert [(row.ready, row.checked, bool(row.problems)) for row in rows] == [
