@@ -14,7 +14,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mavlink.commands import CommandQueue
+from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.guidance import Poses
 from groundstation.mission.plan import MissionPlan
@@ -45,6 +45,12 @@ class Landing:
         self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._said_yes: set[tuple[int, str]] = set()
+
+    def heard(self, outcome: Outcome) -> None:
+        """Takes how a command ended."""
+        if outcome.accepted:
+            self._said_yes.add((outcome.vehicle, outcome.command.name))
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
         """Notes that vehicles shall land where they are, as soon as nobody is below."""
@@ -120,6 +126,34 @@ class Landing:
         """
         perhaps: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
         return perhaps & ~released & ~self.lost(now_ns) & ~self.unsure(now_ns)
+
+    def words_of_late(self, vehicle: int, height_m: float, waited_s: float) -> str:
+        """Says of one that is still armed when nobody waits any longer where it is, what it does, and what is left.
+
+        Args:
+            vehicle: which one.
+            height_m: above its pad, NaN where not known.
+            waited_s: since landing began.
+        """
+        fleet, sysid = self._fleet, self._fleet.sysid[vehicle]
+        autopilot = self._plan.autopilots[vehicle]
+        mode = int(fleet.custom_mode[vehicle])
+        on_ground = fleet.landed_state[vehicle] == LANDED_ON_GROUND
+        command = autopilot.disarm() if on_ground else autopilot.land()
+        told = (vehicle, command.name) in self._said_yes
+        does = f"it acknowledged {command.name} and does not do it" if told else f"it has not taken {command.name}"
+        if on_ground:
+            where = "on the ground by its own report"
+            left = "its motors may start: keep away from it, and disarm it by remote control or take its battery out"
+        else:
+            height = f"{height_m:.1f} m above its pad" if np.isfinite(height_m) else "at a height that is not known"
+            where = f"in the air, {height}, in mode {autopilot.mode_name(mode)}"
+            does = f"it sinks in mode {autopilot.mode_name(mode)}" if autopilot.is_landing_mode(mode) else does
+            left = (
+                "setpoints stop now, and its own failsafe acts; take it over by remote control, or clear the place and"
+                f" fly again with --take-over (there, kill {sysid} stops its motors: it falls)"
+            )
+        return f"vehicle {sysid}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"
 
     def _clear_below(self, vehicle: int, poses: Poses) -> bool:
         """Whether nobody else stands or hovers where this vehicle would come down."""

@@ -106,6 +106,11 @@ class TeamFrame:
         """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
         self._anchor_is_given = True
 
+    @property
+    def hangs_on(self) -> int | None:
+        """The vehicle whose position places everybody's frame on earth; None where none does, or none any more."""
+        return None if self._anchor_is_given else int(np.flatnonzero(self._gps)[0])
+
     def has_common_origin(self, fleet: Fleet, vehicle: int) -> bool:
         """Whether a vehicle's own origin is the anchor."""
         away = self.origin_team_ned_m[vehicle]

@@ -113,7 +113,9 @@ class Preflight:
         off_m = self._frame.off_pad_m(fleet, now_ns)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
-        positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
+        # A place that is in doubt accuses nobody else.
+        doubted = self._doubted(now_ns)
+        positions = np.where(doubted[:, None], np.nan, self._frame.poses(fleet, now_ns).pos_team_ned_m)
         self._checked = [False] * self._plan.size
         held: list[str] = []  # told together, when nothing else is waited for
         if (team := self.checks.team_problem()) is not None:
@@ -152,7 +154,7 @@ class Preflight:
                 or self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
-                or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), state)
+                or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), positions, state)
                 or self.checks.waiting(vehicle, now_ns, positions)
             )
             held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
@@ -427,13 +429,20 @@ class Preflight:
             )
         return None
 
-    def _place(self, vehicle: int, now_ns: int, off_and_drift_m: tuple[float, float], state: GroundState) -> str | None:
+    def _place(
+        self,
+        vehicle: int,
+        now_ns: int,
+        off_and_drift_m: tuple[float, float],
+        positions: FloatArray,
+        state: GroundState,
+    ) -> str | None:
         fleet, plan = self._station.fleet, self._plan
         off_m, drift_m = off_and_drift_m
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
             if np.isnan(fleet.origin_deg_m[vehicle]).any() and not self._derived[vehicle]:
                 return "has not told its origin (GPS_GLOBAL_ORIGIN) yet; has it a GPS position?"
-            if fleet.origin_unsteady(vehicle, now_ns) and not self._was_given_origin(vehicle):
+            if self._origin_in_doubt(vehicle, now_ns):
                 return (
                     f"reports two different origins, {fleet.origin_moved_m[vehicle]:.2f} m apart; wait until its"
                     " estimator has settled, or restart it"
@@ -447,13 +456,15 @@ class Preflight:
                 )
         if not self._frame.known(vehicle):
             return "its place in the team frame is not known yet: no global position of the first vehicle"
+        first = self._frame.hangs_on
+        if first not in (None, vehicle) and plan.uses_gps(vehicle) and self._origin_in_doubt(first, now_ns):
+            return None  # told of the first one, on which this place hangs
         if drift_m > plan.frame_drift_m:
             return (
                 f"its local and global positions are {drift_m:.2f} m apart, limit {plan.frame_drift_m:.2g} m; restart"
                 " its estimator"
             )
         if not off_m <= plan.pad_error_m:
-            positions = self._frame.poses(fleet, now_ns).pos_team_ned_m
             elsewhere = self.checks.place_words(vehicle, positions)
             return (
                 f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m"
@@ -462,6 +473,19 @@ class Preflight:
         return None
 
     # Origins
+
+    def _origin_in_doubt(self, vehicle: int, now_ns: int) -> bool:
+        plan, fleet = self._plan, self._station.fleet
+        told = plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local"
+        return told and fleet.origin_unsteady(vehicle, now_ns) and not self._was_given_origin(vehicle)
+
+    def _doubted(self, now_ns: int) -> BoolArray:
+        """Vehicles whose place means nothing at the moment, shape (n,): their origin moves, or the first one's does."""
+        doubted = np.array([self._origin_in_doubt(vehicle, now_ns) for vehicle in range(self._plan.size)])
+        first = self._frame.hangs_on
+        if first is not None and doubted[first]:
+            doubted |= np.array([self._plan.uses_gps(vehicle) for vehicle in range(self._plan.size)])
+        return doubted
 
     def _was_given_origin(self, vehicle: int) -> bool:
         return bool(self._origin_set[vehicle]) and self._frame.has_common_origin(self._station.fleet, vehicle)

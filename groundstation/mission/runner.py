@@ -354,8 +354,13 @@ class Runner:
         blind = np.flatnonzero(now_ns - self._frame.pose_ns(self.fleet) > limits.pose_lost_s * _SECOND_NS)
         problem = self._arming.started_anew()
         if problem is None and len(blind):
-            words = f"no position for {limits.pose_lost_s:g} s while the team was arming"
-            problem = "; ".join(f"vehicle {sysid}: {words}" for sysid in self.fleet.sysid[blind])
+            silent = self.fleet.silent(now_ns, limits.pose_lost_s)
+            problem = "; ".join(
+                f"vehicle {self.fleet.sysid[i]}: {'nothing was heard of it' if silent[i] else 'no position'} for"
+                f" {limits.pose_lost_s:g} s while the team was arming: its link or its estimator failed, or it has"
+                " started anew"
+                for i in blind.tolist()
+            )
         if problem is not None:
             self._give_up(problem, now_ns)
         elif self._arming.step(now_ns):
@@ -461,6 +466,9 @@ class Runner:
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
         if self._takeoff_ns == NEVER:
+            anew = self._arming.started_anew()  # a vehicle tells it seconds after it has fallen silent
+            if anew is not None:
+                self._abort(anew)
             self._landing.disarm_on_the_ground(now_ns)
         else:
             aside_m = np.linalg.norm((poses.pos_team_ned_m - self._flight.gather_ned_m)[:, :2], axis=1)
@@ -514,9 +522,10 @@ class Runner:
         if names:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
-            names = [f"vehicle {self.fleet.sysid[i]}" for i in np.flatnonzero(up)]
-            self._abort(f"{', '.join(names)}: still armed after {down_max_ns // _SECOND_NS} s of landing")
-        flying = self.airborne & ~lost & ~self._killing.asked
+            height_m = (self._pads_ned_m - self._frame.poses(self.fleet, now_ns).pos_team_ned_m)[:, 2]
+            for vehicle in np.flatnonzero(up).tolist():
+                self._abort(self._landing.words_of_late(vehicle, float(height_m[vehicle]), down_max_ns // _SECOND_NS))
+        flying = self.airborne & ~lost & ~self._killing.asked & ~up
         for text in still_flying(self.fleet, self.plan, flying, now_ns):
             self._abort(text)
         self._finish(now_ns)
@@ -742,6 +751,7 @@ class Runner:
         """Takes the vehicles' words and answers."""
         for outcome in self._station.commands.take_outcomes():
             self._arming.heard(outcome)
+            self._landing.heard(outcome)
             if self._words.refused(outcome):
                 self._note("info", f"vehicle {self.fleet.sysid[outcome.vehicle]}: {outcome.words()}")
         for text in self.fleet.take_texts():

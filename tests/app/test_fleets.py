@@ -228,6 +228,7 @@ def test_a_reboot_while_arming_ends_the_attempt_on_the_ground(vehicle: int) -> N
     _assert_on_the_ground(flight)
     assert flight.runner.reason.startswith(f"vehicle {vehicle + 1}: ")
     assert "while the team was arming" in flight.runner.reason
+    assert f"vehicle {vehicle + 1}: has started anew while the team was arming" in flight.runner.reason
 
 
 def _forged_origin(
@@ -258,6 +259,7 @@ def test_a_vehicle_that_reports_two_origins_is_refused_with_their_distance() -> 
     flight = Flight(pair("limits.preflight_s=15"), tamper=_forged_origin(0, 7.0, lambda _: True))
     _assert_on_the_ground(flight)
     assert "vehicle 1: reports two different origins, " in flight.runner.reason
+    assert "vehicle 2" not in flight.runner.reason
 
 
 def test_an_origin_that_moves_in_flight_brings_everybody_down() -> None:

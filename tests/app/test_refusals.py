@@ -11,7 +11,8 @@ from groundstation.mavlink.codec import FrameSplitter, message_id
 from groundstation.mission.runner import Phase
 from sitl.faults import Fault
 from sitl.world import Outgoing
-from tests.app.flights import SECOND_NS, Flight, Tamper, pair
+from tests.app.flights import SECOND_NS, Flight, Tamper, mission, pair
+from tests.app.test_fleets import _forged_origin as forged_origin
 
 
 def _refused(flight: Flight) -> str:
@@ -99,3 +100,45 @@ def test_one_that_is_heard_without_heartbeats_is_told_of_its_link_and_asked_for_
 def test_one_whose_heartbeats_come_after_all_flies() -> None:
     flight = Flight(pair("steps.1.hold.seconds=1"), tamper=_without_heartbeats(14 * SECOND_NS))
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
+
+
+@pytest.mark.parametrize("vehicle", [0, 1])
+def test_one_that_acknowledges_land_and_stays_up_is_told_with_its_place_and_what_is_left(vehicle: int) -> None:
+    def yes_man(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.LAND:
+            for command in (21, 176):
+                flight.world.autopilots[vehicle].commands[command] = lambda _params, _frame: 0
+        return False
+
+    flight = Flight(pair("steps.1.hold.seconds=1"), interrupt_when=yes_man, limit_s=300)
+    reason = flight.runner.reason
+    assert flight.runner.outcome == "aborted"
+    mode, land = (("OFFBOARD", "land"), ("GUIDED", "LAND mode"))[vehicle]
+    assert reason.startswith(f"vehicle {vehicle + 1}: still armed after 120 s of landing, in the air, ")
+    assert f" m above its pad, in mode {mode}: it acknowledged {land} and does not do it; setpoints stop now" in reason
+    assert "take it over by remote control" in reason
+    assert f"kill {vehicle + 1} stops its motors" in reason
+
+
+def test_one_that_lands_and_never_disarms_is_told_to_stand_armed() -> None:
+    def yes_man(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.LAND:
+            pilot = flight.world.autopilots[1]
+            pilot.commands[400] = lambda _params, _frame: 0
+            pilot.disarm = lambda: None  # type: ignore[method-assign]
+        return False
+
+    flight = Flight(pair("steps.1.hold.seconds=1"), interrupt_when=yes_man, limit_s=300)
+    assert (
+        "vehicle 2: still armed after 120 s of landing, on the ground by its own report: it acknowledged disarm and does"
+        " not do it; its motors may start: keep away from it" in flight.runner.reason
+    )
+
+
+@pytest.mark.parametrize("vehicle", [0, 5])
+def test_an_origin_in_doubt_accuses_nobody_but_the_vehicle_that_tells_it(vehicle: int) -> None:
+    plan = mission("mixed8", "limits.preflight_s=15")
+    reason = _refused(Flight(plan, tamper=forged_origin(vehicle, 5.0, lambda _: True)))
+    assert reason.startswith(f"vehicle {vehicle + 1}: reports two different origins, ")
+    assert "; vehicle" not in reason
+    assert not any("stands on the pad" in word or "minimum is" in word for word in reason.split("; "))
