@@ -38,6 +38,7 @@ class TeamFrame:
         origin_team_ned_m: of each vehicle's local frame, shape (n, 3); NaN while not known, and where it needs none.
         anchor_deg_m: place of the team frame's origin on earth: latitude, longitude, height; None while not known.
         settled: held from now on.
+        hangs_on: the vehicle whose position places the frame on earth; None where the mission says where it is.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -62,6 +63,7 @@ class TeamFrame:
             None if anchor is None else np.array([anchor.lat_deg, anchor.lon_deg, anchor.alt_m])
         )
         self._anchor_is_given = anchor is not None or not self._gps.any()
+        self.hangs_on = None if self._anchor_is_given else int(np.flatnonzero(self._gps)[0])
         self._shift_ned_m: FloatArray = np.zeros((n, 3))
         self._derived_deg_m: FloatArray = np.full((n, 3), np.nan)
         self._nobody: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -105,11 +107,6 @@ class TeamFrame:
     def hold_anchor(self) -> None:
         """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
         self._anchor_is_given = True
-
-    @property
-    def hangs_on(self) -> int | None:
-        """The vehicle whose position places everybody's frame on earth; None where none does, or none any more."""
-        return None if self._anchor_is_given else int(np.flatnonzero(self._gps)[0])
 
     def has_common_origin(self, fleet: Fleet, vehicle: int) -> bool:
         """Whether a vehicle's own origin is the anchor."""

@@ -92,11 +92,12 @@ def check_radius(
     if not isinstance(region, SafetySphere):
         tiny = _shrunk(region)
         helps = min(tiny.room_m(offsets) for offsets in everywhere) > margin
+        smaller = "lower radius_m or half_height_m, or move further apart"
         raise UserError(
             f"{r} with the {region.name} cannot be kept with {positioning} positions: two of them may be"
             f" {margin:.2f} m off against each other, and around the {region.name} there are"
             f" {max(rooms_m[what], 0.0):.2g} m of room in the {what};"
-            + (" lower radius_m or half_height_m, or move further apart" if helps else f" no size could be kept: {apart}")
+            f" {smaller if helps else f'no size could be kept: {apart}'}"
         )
     shortest = rooms_m[what] + region.radius_m
     least = min(region.room_m(offsets) for offsets in everywhere) + region.radius_m

@@ -439,6 +439,9 @@ class Preflight:
     ) -> str | None:
         fleet, plan = self._station.fleet, self._plan
         off_m, drift_m = off_and_drift_m
+        first = self._frame.hangs_on
+        if first is not None and first != vehicle and plan.uses_gps(vehicle) and self._origin_in_doubt(first, now_ns):
+            return None  # told of the first one, on which this place hangs
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
             if np.isnan(fleet.origin_deg_m[vehicle]).any() and not self._derived[vehicle]:
                 return "has not told its origin (GPS_GLOBAL_ORIGIN) yet; has it a GPS position?"
@@ -456,9 +459,6 @@ class Preflight:
                 )
         if not self._frame.known(vehicle):
             return "its place in the team frame is not known yet: no global position of the first vehicle"
-        first = self._frame.hangs_on
-        if first not in (None, vehicle) and plan.uses_gps(vehicle) and self._origin_in_doubt(first, now_ns):
-            return None  # told of the first one, on which this place hangs
         if drift_m > plan.frame_drift_m:
             return (
                 f"its local and global positions are {drift_m:.2f} m apart, limit {plan.frame_drift_m:.2g} m; restart"
@@ -506,8 +506,10 @@ class Preflight:
         if now_ns - self._origin_asked_ns[vehicle] < _ORIGIN_AGAIN_NS or self._station.commands.pending(vehicle):
             return
         self._origin_asked_ns[vehicle] = now_ns
-        anchor = self._frame.anchor_deg_m
-        if anchor is not None and self._origin_wanted(vehicle) and np.isfinite(fleet.origin_deg_m[vehicle]).all():
+        anchor, first = self._frame.anchor_deg_m, self._frame.hangs_on
+        steady = first is None or not self._origin_in_doubt(first, now_ns)
+        told = bool(np.isfinite(fleet.origin_deg_m[vehicle]).all())
+        if anchor is not None and steady and told and self._origin_wanted(vehicle):
             self._frame.hold_anchor()
             self._origin_set[vehicle] += 1
             self._station.send(

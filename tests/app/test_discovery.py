@@ -166,6 +166,28 @@ def test_nobody_there_is_said_with_what_is_wrong_with_the_link(
         closed.bind(("127.0.0.1", 0))
         url = f"tcpout://127.0.0.1:{closed.getsockname()[1]}"
         assert _run(["vehicles", url, "--seconds", "0.5"], monkeypatch) == 1
-    captured = capsys.readouterr()
+        captured = capsys.readouterr()
+        assert _run(["vehicles", url, "--seconds", "0.5", "--json"], monkeypatch) == 1
+        (line,) = capsys.readouterr().out.splitlines()
+    answer = json.loads(line)
+    assert (answer["vehicles"], answer["exit_code"]) == ([], 1)
+    assert "cannot connect: Connection refused" in answer["problems"][0]
+    assert answer["error"].startswith("no vehicle was heard in 0.5 s")
     assert "cannot connect: Connection refused" in captured.out
     assert "no vehicle was heard in 0.5 s" in captured.err
+
+
+def test_one_of_several_links_that_does_not_work_is_a_failure_with_the_others_found(
+    served: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        dead = f"tcpout://127.0.0.1:{closed.getsockname()[1]}"
+        urls = [f"tcpout://127.0.0.1:{served}", dead]
+        assert _run(["vehicles", *urls, "--seconds", "3", "--json"], monkeypatch) == 1
+    captured = capsys.readouterr()
+    (line,) = captured.out.splitlines()
+    answer = json.loads(line)
+    assert [vehicle["id"] for vehicle in answer["vehicles"]] == [5]
+    assert answer["error"].startswith(f"link {dead}: ")
+    assert f"gs: link {dead}: " in captured.err

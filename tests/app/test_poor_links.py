@@ -109,7 +109,10 @@ def test_one_that_acknowledges_rates_and_sends_nothing_is_told_so() -> None:
     # It obeys from the first tick on: what it is asked for later it only acknowledges.
     flight = Flight(plan, prepare=lambda world: yes_man(world.autopilots[1]), interrupt_when=look)
     _assert_nothing_armed(flight)
-    assert "position and attitude: none yet, limit 0.5 s; it acknowledged the rates and sends none;" in flight.runner.reason
+    assert (
+        "position and attitude: none yet, limit 0.5 s; it acknowledged the rates and sends none;"
+        in flight.runner.reason
+    )
 
 
 # Two positions

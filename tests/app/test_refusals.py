@@ -28,9 +28,7 @@ def _never_armed(vehicle: int) -> Fault:
 
 
 def test_a_vehicle_whose_own_checks_fail_for_good_is_refused_in_its_own_words() -> None:
-    flight = Flight(
-        pair("limits.preflight_s=25"), change=lambda world: replace(world, faults=(_never_armed(2),))
-    )
+    flight = Flight(pair("limits.preflight_s=25"), change=lambda world: replace(world, faults=(_never_armed(2),)))
     assert _refused(flight) == (
         "vehicle 2: not ready to arm: it says: PreArm: Compass not healthy; its own checks have to pass"
     )
@@ -102,6 +100,13 @@ def test_one_whose_heartbeats_come_after_all_flies() -> None:
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
 
 
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is waited for longer than 15 s while coming down."""
+    monkeypatch.setattr("groundstation.mission.runner._DOWN_MAX_NS", 15 * SECOND_NS)
+
+
+@pytest.mark.usefixtures("soon")
 @pytest.mark.parametrize("vehicle", [0, 1])
 def test_one_that_acknowledges_land_and_stays_up_is_told_with_its_place_and_what_is_left(vehicle: int) -> None:
     def yes_man(flight: Flight) -> bool:
@@ -110,16 +115,17 @@ def test_one_that_acknowledges_land_and_stays_up_is_told_with_its_place_and_what
                 flight.world.autopilots[vehicle].commands[command] = lambda _params, _frame: 0
         return False
 
-    flight = Flight(pair("steps.1.hold.seconds=1"), interrupt_when=yes_man, limit_s=300)
+    flight = Flight(pair("steps.1.hold.seconds=1"), interrupt_when=yes_man)
     reason = flight.runner.reason
     assert flight.runner.outcome == "aborted"
     mode, land = (("OFFBOARD", "land"), ("GUIDED", "LAND mode"))[vehicle]
-    assert reason.startswith(f"vehicle {vehicle + 1}: still armed after 120 s of landing, in the air, ")
+    assert reason.startswith(f"vehicle {vehicle + 1}: still armed after 15 s of landing, in the air, ")
     assert f" m above its pad, in mode {mode}: it acknowledged {land} and does not do it; setpoints stop now" in reason
     assert "take it over by remote control" in reason
     assert f"kill {vehicle + 1} stops its motors" in reason
 
 
+@pytest.mark.usefixtures("soon")
 def test_one_that_lands_and_never_disarms_is_told_to_stand_armed() -> None:
     def yes_man(flight: Flight) -> bool:
         if flight.runner.phase is Phase.LAND:
@@ -128,16 +134,16 @@ def test_one_that_lands_and_never_disarms_is_told_to_stand_armed() -> None:
             pilot.disarm = lambda: None  # type: ignore[method-assign]
         return False
 
-    flight = Flight(pair("steps.1.hold.seconds=1"), interrupt_when=yes_man, limit_s=300)
+    flight = Flight(pair("steps.1.hold.seconds=1"), interrupt_when=yes_man)
     assert (
-        "vehicle 2: still armed after 120 s of landing, on the ground by its own report: it acknowledged disarm and does"
+        "vehicle 2: still armed after 15 s of landing, on the ground by its own report: it acknowledged disarm and does"
         " not do it; its motors may start: keep away from it" in flight.runner.reason
     )
 
 
 @pytest.mark.parametrize("vehicle", [0, 5])
 def test_an_origin_in_doubt_accuses_nobody_but_the_vehicle_that_tells_it(vehicle: int) -> None:
-    plan = mission("mixed8", "limits.preflight_s=15")
+    plan = mission("mixed8", "limits.preflight_s=10")
     reason = _refused(Flight(plan, tamper=forged_origin(vehicle, 5.0, lambda _: True)))
     assert reason.startswith(f"vehicle {vehicle + 1}: reports two different origins, ")
     assert "; vehicle" not in reason

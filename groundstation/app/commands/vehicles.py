@@ -14,7 +14,7 @@ from groundstation.app.discovery import Discovery
 from groundstation.app.loop import FlightClock, Interrupts, Waiting
 from groundstation.app.output import Output
 from groundstation.app.signing import gate_of
-from groundstation.core.errors import CheckFailed, MissionFailed
+from groundstation.core.errors import MissionFailed
 from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import parse_address
 
@@ -35,7 +35,8 @@ def vehicles(
 ) -> None:
     """Finds the vehicles on links and prints a ``vehicles:`` block for a mission file. Arms nothing.
 
-    Ends with 1 when nobody is heard, or when two vehicles bear one system id: these are left out of the block.
+    Ends with 1 when nobody is heard, when a link does not work, or when two vehicles bear one system id: these are left
+    out of the block.
     """
     out = Output(as_json=as_json)
     addresses = [parse_address(url) for url in dict.fromkeys(urls or _DEFAULT)]
@@ -67,12 +68,18 @@ def vehicles(
                     outgoing = gate.sign(outgoing, now_ns) + gate.greetings(now_ns)
                 for sent in outgoing:
                     links[sent.link].send(sent.peer, b"".join(sent.frames))
-        troubles = [f"link {link.url}: {link.state}" for link in links if link.state]
+        broken = [f"link {link.url}: {link.state}" for link in links if link.state]
+        troubles = broken.copy()
         if gate is not None:
             gate.close()
             troubles += gate.words([address.url for address in addresses], {})
     found, doubles = discovery.vehicles(), discovery.doubles(now_ns)
     _show(out, discovery, [*troubles, *doubles], now_ns)
+    failures = [*broken, *doubles]
+    if not found:
+        looked = ", ".join(address.url for address in addresses)
+        failures = [f"no vehicle was heard in {seconds:g} s on {looked}; is it switched on, and the address right?"]
+    failed = {"error": "; ".join(failures), "exit_code": MissionFailed.exit_code} if failures else {}
     out.result(
         {
             "vehicles": [
@@ -89,15 +96,11 @@ def vehicles(
             ],
             "problems": [*troubles, *doubles],
             "block": discovery.block(now_ns),
+            **failed,
         }
     )
-    if not found:
-        looked = ", ".join(address.url for address in addresses)
-        raise CheckFailed(
-            f"no vehicle was heard in {seconds:g} s on {looked}; is it switched on, and the address right?"
-        )
-    if doubles:
-        raise MissionFailed("; ".join(doubles))
+    if failures:
+        raise MissionFailed("; ".join(failures))
 
 
 def _show(out: Output, discovery: Discovery, problems: list[str], now_ns: int) -> None:
