@@ -4,7 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
-PYTEST_WORKERS ?= 2
+# Some tests wait for real sockets and processes: one worker more than cores keeps the cores busy.
+PYTEST_WORKERS ?= 3
 
 .PHONY: install fly test fuzz clean
 

@@ -107,7 +107,7 @@ def _row(number: int) -> CheckRow:
         id=number, role=number, link="udpin://0.0.0.0:14540", firmware="px4 1.17.0 dev", mode="AUTO.LOITER",
         heartbeat_age_s=0.5, estimator="good", position_age_s=0.02, off_pad_m=0.01, off_pad_limit_m=0.3,
         positions_hz=50.0, attitudes_hz=50.0, asked_hz=50.0, round_trip_s=0.004, clock_s=0.002, battery=0.97,
-        battery_need=0.31, failsafe="as planned", problems=("no",) if number == 2 else (), notes=(),
+        battery_need=0.31, failsafe="as planned", checked=True, problems=("no",) if number == 2 else (), notes=(),
     )  # fmt: skip
 
 
