@@ -178,8 +178,7 @@ def test_starts_in_a_volume_end_where_they_began(tmp_path: Path) -> None:
     ("cell", "fault", "struck_in"),
     [
         ("px4", "blackout", "form"),
-        ("arducopter", "battery_level, percent: 5", "hold"),
-        ("px4", "position_nan", "return"),
+        ("arducopter", "position_nan", "return"),
     ],
 )
 def test_faults_strike_when_the_phase_is_really_entered(tmp_path: Path, cell: str, fault: str, struck_in: str) -> None:

@@ -64,7 +64,7 @@ def _verified(path: Path) -> None:
 )
 def test_the_missions_that_come_along_are_flown_and_keep_r(name: str, seed: int, tmp_path: Path) -> None:
     log = tmp_path / "flight.tlog"
-    flight = Flight(mission(name), seed=seed, log=log)
+    flight = Flight(mission(name), seed=seed, log=log, chatter=True)
     _assert_flown(flight)
     _verified(log)
 
@@ -333,7 +333,7 @@ def test_attitudes_as_euler_angles_do_as_well() -> None:
         flight.world.streams.set_interval(1, "ATTITUDE", 20_000_000, flight.now_ns)
 
     look = _when(lambda flight: flight.now_ns > SECOND_NS, ask)
-    _assert_flown(Flight(pair(), tamper=strip, interrupt_when=look))
+    _assert_flown(Flight(pair(), tamper=strip, interrupt_when=look, chatter=True))
 
 
 @pytest.mark.parametrize("autopilots", [("px4", "px4"), ("px4", "arducopter")])

@@ -77,7 +77,7 @@ def test_without_room_above_the_team_holds_and_says_so() -> None:
     runner = vanished.flight.runner
     assert runner.failsafe.action == "hold"
     (told,) = [text for text in vanished.flight.texts("info") if text.startswith("when the ground station is gone")]
-    assert "they hold until they are taken over" in told
+    assert "they are asked to hold until they are taken over" in told
     assert "need 5.6 m of height, there are 3 m (failsafe.ceiling_m)" in told
     assert vanished.min_distance_m >= 0.45
     assert all(modes == ["OFFBOARD", "AUTO.LOITER"] for modes in vanished.modes)
