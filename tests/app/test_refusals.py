@@ -84,7 +84,7 @@ def test_one_that_is_heard_without_heartbeats_is_told_of_its_link_and_asked_for_
     autopilots: tuple[str, str],
 ) -> None:
     plan = pair("limits.preflight_s=12", autopilots=autopilots)
-    flight = Flight(plan, tamper=_without_heartbeats(1000 * SECOND_NS))
+    flight = Flight(plan, tamper=_without_heartbeats(1000 * SECOND_NS), chatter=True)
     reason = _refused(flight)
     url = plan.links[plan.link_of_vehicle[1]]
     assert reason.startswith(f"vehicle 2: is heard on {url}, without a heartbeat: its link is overfull or drops them (")

@@ -43,7 +43,7 @@ def _left_in_the_air(
         return False
 
     with contextlib.suppress(_Died):
-        Flight(plan, interrupt_when=die)
+        Flight(plan, interrupt_when=die, chatter=True)
     (world,) = worlds
     prepare(world)  # only now: preflight would not have flown with all of this
     for _ in range(round(idle_s * 50)):
