@@ -234,6 +234,8 @@ class Runner:
                 self._measure(poses)
             except Exception as error:
                 self._fault(error, now_ns)
+            # Whatever the monitors do, who has been asked to land is asked until it does.
+            self._landing.step(now_ns, poses, self._released)
         standing: BoolArray = np.zeros(n, dtype=np.bool_)
         if self.phase is Phase.CONNECT:
             self._connect(now_ns)
@@ -677,7 +679,6 @@ class Runner:
             self._abort(findings.silence)
             self._enter(Phase.SILENT, now_ns)
         poses = self._monitor.obstacles(poses, fleet, pose_ns, self._landing.asked, now_ns)
-        self._landing.step(now_ns, poses, self._released)
         # Nobody stays under a vehicle that comes down.
         sinking = poses.sinking | (self._landing.here & fleet.armed) | self._killing.falling(now_ns)
         return replace(poses, sinking=sinking)

@@ -15,6 +15,7 @@ from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
 from groundstation.mission.guidance import Guide, Poses, Setpoints
+from groundstation.mission.monitor import Monitor
 from groundstation.mission.runner import Phase
 from sitl.world import Outgoing
 from tests.app.flights import SECOND_NS, Flight, cube8
@@ -291,6 +292,32 @@ def test_a_fault_in_our_own_mathematics_never_leaves_a_vehicle_without_a_setpoin
     sent = np.diff(gaps[first:])
     landing = flight.runner.figures.ticks
     assert (sent[: landing - first - 300] == 8).all()
+
+
+@pytest.mark.parametrize("broken", ["trusted", "look", "obstacles"])
+def test_a_fault_in_the_monitors_brings_everybody_home_and_down(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the middle of forming on they never work again: landing must not depend on them."""
+    sound = getattr(Monitor, broken)
+    begun: list[int] = []
+
+    def faulty(self: Monitor, *rest: object) -> object:
+        if begun:
+            raise FloatingPointError("made up")
+        return sound(self, *rest)
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.FORM and not begun:
+            begun.append(flight.now_ns)
+        return False
+
+    monkeypatch.setattr(Monitor, broken, faulty)
+    flight = Flight(cube8(), interrupt_when=look)
+    assert flight.runner.outcome == "aborted"
+    assert flight.runner.reason == "fault in the ground station, FloatingPointError: made up"
+    assert _all_down(flight)
+    assert flight.world.min_distance_airborne_m >= 0.45
+    off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
+    assert off_pad.max() < 0.3
 
 
 def test_a_heartbeat_that_stops_while_telemetry_goes_on_brings_everybody_back_in_time() -> None:
