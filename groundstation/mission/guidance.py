@@ -7,6 +7,7 @@ agent's own view. Keeps no state but the last setpoints, whose slope is limited.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -54,6 +55,11 @@ class Poses:
     quat_ned_from_frd: FloatArray
     sinking: BoolArray
     extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
+
+    @cached_property
+    def rot_ned_from_flu(self) -> FloatArray:
+        """Takes each vehicle's own tilted frame to NED, shape (n, 3, 3)."""
+        return frames.rot_ned_from_flu(self.quat_ned_from_frd)
 
     def __post_init__(self) -> None:
         """Fills in what was left out, and refuses radii of the wrong size."""
@@ -202,7 +208,7 @@ class Guide:
     def _without(self, poses: Poses, views: LocalViews, motion: Motion) -> LocalViews:
         """Views without the common motion in relative velocities: the lead of the law is for what is not wanted."""
         expected_enu = motion.relative(_enu_from_flu(poses, views.rel_pos_flu_m))
-        rot = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        rot = poses.rot_ned_from_flu
         expected_flu = frames.rotate_back(rot[:, None], frames.ned_from_enu(expected_enu))
         return replace(views, rel_vel_flu_m_s=views.rel_vel_flu_m_s - expected_flu)
 
@@ -217,7 +223,7 @@ class Guide:
             views = self._views(poses, np.zeros((self._plan.size, self._plan.size), dtype=np.bool_))
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
-        wish = self._target_rate_1_s * frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), offset_ned)
+        wish = self._target_rate_1_s * frames.rotate_back(poses.rot_ned_from_flu, offset_ned)
         return self._finish(poses, views, wish, self._fence, who=who, detour_enu_m_s=detour_enu_m_s)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
@@ -273,7 +279,7 @@ class Guide:
             views = replace(views, extra_m=extra_m)
         if not under.any():
             return views
-        rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        rot_ned_from_flu = poses.rot_ned_from_flu
         level_flu_m = frames.rotate_back(rot_ned_from_flu[:, None], offset_ned)
         shown = (under & views.visible)[..., None]
         return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
@@ -308,7 +314,7 @@ class Guide:
         common_enu_m_s: FloatArray | None = None,
     ) -> Setpoints:
         speed_max = self._plan.spec.speed_limit_m_s
-        rot_ned_from_flu = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+        rot_ned_from_flu = poses.rot_ned_from_flu
         # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.
         ahead_ned_m = poses.pos_team_ned_m + self._stopping_s * poses.vel_ned_m_s
         low_m_s, high_m_s = fence_bounds(ahead_ned_m, box, self._approach_rate_1_s)
@@ -365,11 +371,11 @@ def _room(common_ned_m_s: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray)
 
 def _enu_from_flu(poses: Poses, vector_flu: FloatArray) -> FloatArray:
     """Turns each agent's vectors, shape (n, 3) or (n, k, 3), from its tilted body frame into its level axes."""
-    rot = frames.rot_ned_from_flu(poses.quat_ned_from_frd)
+    rot = poses.rot_ned_from_flu
     rot = rot if vector_flu.ndim == 2 else rot[:, None]
     return frames.enu_from_ned(frames.rotate(rot, vector_flu))
 
 
 def _flu_from_enu(poses: Poses, vector_enu: FloatArray) -> FloatArray:
     """Turns each agent's vectors, shape (n, 3), from level axes into its tilted body frame."""
-    return frames.rotate_back(frames.rot_ned_from_flu(poses.quat_ned_from_frd), frames.ned_from_enu(vector_enu))
+    return frames.rotate_back(poses.rot_ned_from_flu, frames.ned_from_enu(vector_enu))

@@ -478,6 +478,8 @@ class Runner:
             waits &= now_ns - self._phase_ns < self.plan.spec.land.timeout_s * _SECOND_NS
             self._landing.want(np.flatnonzero(~waits).tolist(), now_ns)
         self._come_down(now_ns)
+        if (self._landing.asked | self._released).all():
+            return np.zeros((self.plan.size, 3))  # the autopilots land by themselves, nobody is left to be steered
         targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
         return self._guide.to_targets(poses, targets).vel_ned_m_s
 

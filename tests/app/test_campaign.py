@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from groundstation.app import cli
 from groundstation.app.campaign.cases import Case, Cases, scattered
+from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.campaign.report import to_markdown
 from groundstation.app.campaign.run import emulated, fly_case, lost_row
 from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
@@ -172,6 +173,29 @@ def test_starts_in_a_volume_end_where_they_began(tmp_path: Path) -> None:
     assert row["min_distance_m"] >= 0.5
     assert row["start_distance_m"] >= 0.55
     assert row["phases"] == "connect arm takeoff form hold return land done"
+
+
+def test_upright_regions_are_judged_in_their_own_norm(tmp_path: Path) -> None:
+    row = fly_case(_case(tmp_path, TETRAHEDRON + "starts: {kind: planar}\n"))
+    assert row["min_clearance"] == pytest.approx(row["min_obedient_m"] / 0.5)
+    shape = "  avoidance.shape: cylinder\n  avoidance.half_height_m: 0.6\n"
+    row = fly_case(_case(tmp_path, TETRAHEDRON + shape + "starts: {kind: planar}\n"))
+    assert row["error"] == ""
+    assert row["success"]
+    assert 1.0 <= row["min_clearance"] < row["min_obedient_m"] / 0.5
+
+
+def test_the_kinematic_team_is_the_same_whatever_flies_and_no_faster_than_it_may(tmp_path: Path) -> None:
+    grid = "grid: {team.profile: [crazyflie, px4_quad]}\n"
+    noise = "emulator: {noise: {position_m: 0.02}, link: {delay_s: 0.05}}\nset: {link_delay_s: 0.1}\n"
+    here, there = (_case(tmp_path, grid + noise + "starts: {kind: planar}\n", run) for run in (0, 1))
+    time_s = kinematic_time_to_form_s(here)
+    assert time_s == kinematic_time_to_form_s(there)
+    assert 0.5 < time_s < 10.0
+    slower = {**here.mission, "speed_limit_m_s": 0.25}
+    assert kinematic_time_to_form_s(replace(here, mission=slower)) > 1.5 * time_s
+    hasty = [{"form": {"timeout_s": 0.2}}, *here.mission["steps"][1:]]
+    assert math.isnan(kinematic_time_to_form_s(replace(here, mission={**here.mission, "steps": hasty})))
 
 
 @pytest.mark.parametrize(
@@ -357,13 +381,15 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     assert interval(0, 10)[1] == pytest.approx(1 - 0.025**0.1)
     blank = lost_row(_case(tmp_path, SHORT), "")
     good = {**blank, "success": True, "formed": True, "safe": True, "ended_safely": True, "outcome": "completed",
-            "min_distance_m": 0.6, "min_obedient_m": 0.6, "safety_radius_m": 0.45, "time_to_form_s": 5.0}  # fmt: skip
+            "min_distance_m": 0.6, "min_obedient_m": 0.6, "safety_radius_m": 0.45, "min_clearance": 1.33,
+            "time_to_form_s": 5.0, "kinematic_time_to_form_s": 2.0}  # fmt: skip
     slow = {**good, "run": 1, "time_to_form_s": 9.0}
     near = {
         **good,
         "run": 2,
         "min_distance_m": 0.4,
         "min_obedient_m": 0.4,
+        "min_clearance": 0.89,
         "nearest_pair": "1-2",
         "success": False,
         "safe": False,
@@ -374,6 +400,8 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     assert values["worst"][1]["why"] == "distance 0.400 m between 1-2, r is 0.45 m"
     assert (values["runs"], values["success_rate"], values["below_r"], values["errors"]) == (4, 0.5, 1, 1)
     assert values["median_time_to_form_s"] == 5.0
+    assert (values["median_slower"], values["kinematic_formed"]) == (2.5, 3)
+    assert why({**good, "min_clearance": 0.8}) == "two vehicles at 80% of what their safety region asks for"
     assert [cell["runs"] for cell in values["cells"]] == [2, 2]
     assert "9.0 s" in why(slow)
     bars = ExpectSpec(success_rate=0.5, below_r=0, safe_rate=0.9)

@@ -50,6 +50,7 @@ _COLUMNS = (
     ("median_time_to_form_s", "median time"),
     ("p95_time_to_form_s", "95 % within"),
     ("max_time_to_form_s", "slowest"),
+    ("median_slower", "of kinematic"),
     ("gridlocks", "gridlocks"),
     ("role_swaps", "swaps"),
     ("errors", "errors"),
@@ -118,6 +119,8 @@ def _text(cell: Mapping[str, Any], key: str) -> str:
         return f"{value:.2%}"
     if key.endswith("_m"):
         return f"{value:.3f} m"
+    if key.endswith("_slower"):
+        return f"{value:.1f} times"
     return f"{value:.1f} s" if key.endswith("_s") else str(value)
 
 
@@ -151,7 +154,9 @@ td {{ font-variant-numeric: tabular-nums; }} code {{ font-size: 0.85em; }}
 </style>
 <h1>{html.escape(title)}</h1>
 <p>Intervals are 95 % (Clopper and Pearson). Success: formed, completed, everybody down, true distance never below r.
-Safe: everybody down or in failsafe, and nobody who could keep clear came nearer than r.</p>
+Safe: everybody down or in failsafe, and nobody who could keep clear came nearer than r.
+"Of kinematic" is the median of the time to form over that of points that do at once what they are told, without margin,
+from the same starts.</p>
 <div class="wide"><table>{table}</table></div>
 {struck}
 {images}

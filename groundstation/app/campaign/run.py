@@ -18,12 +18,16 @@ from typing import Any
 import numpy as np
 
 from groundstation.app.campaign.cases import Case
+from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
 from groundstation.app.signing import open_gate
 from groundstation.app.verify import verify_log
+from groundstation.core import frames
 from groundstation.core.errors import UserError
+from groundstation.core.metrics import min_clearance
+from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
@@ -34,7 +38,6 @@ from groundstation.records.manifest import (
     versions,
     write_manifest,
 )
-from groundstation.records.replay import load_flight
 from groundstation.records.tlog import TlogWriter
 from sitl.faults import FaultError
 from sitl.world import World, WorldConfig
@@ -66,15 +69,11 @@ def fly_case(case: Case, log: Path | None = None) -> Row:
     Returns:
         One row: the columns of ``table.SCHEMA``.
     """
-    row: Row = {
-        "run": case.run,
-        "seed": case.seed,
-        "cell": case.cell,
-        "drawn": case.drawn,
-        **_nothing_yet(),
-    }
+    row = _nothing_yet(case)
     try:
         row |= _Flown(case).fly(log)
+        if not row["faults"]:
+            row["kinematic_time_to_form_s"] = kinematic_time_to_form_s(case)
     except UserError as error:
         row["error"] = str(error)
     except Exception as error:
@@ -85,19 +84,16 @@ def fly_case(case: Case, log: Path | None = None) -> Row:
 
 def lost_row(case: Case, why: str) -> Row:
     """The row of a run whose worker did not come back."""
+    return _nothing_yet(case) | {"error": why}
+
+
+def _nothing_yet(case: Case) -> Row:
+    nan = math.nan
     return {
         "run": case.run,
         "seed": case.seed,
         "cell": case.cell,
         "drawn": case.drawn,
-        **_nothing_yet(),
-        "error": why,
-    }
-
-
-def _nothing_yet() -> Row:
-    nan = math.nan
-    return {
         "error": "",
         "vehicles": 0,
         "safety_radius_m": nan,
@@ -107,10 +103,12 @@ def _nothing_yet() -> Row:
         "formed": False,
         "safe": False,
         "time_to_form_s": nan,
+        "kinematic_time_to_form_s": nan,
         "formation_error_m": nan,
         "min_distance_m": nan,
         "nearest_pair": "",
         "min_obedient_m": nan,
+        "min_clearance": nan,
         "start_distance_m": nan,
         "gridlocks": 0,
         "role_swaps": 0,
@@ -149,7 +147,8 @@ class _Flown:
         self._begun = sorted(
             (round(fault.at_s * _SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
         )
-        self._min_m = self._min_obedient_m = math.inf
+        self._min_m = self._min_obedient_m = self._min_clearance = math.inf
+        self._upright = not isinstance(self._plan.region, SafetySphere)
         self._pair_m = np.full((self._plan.size, self._plan.size), math.inf)
 
     def fly(self, log: Path | None) -> Row:
@@ -191,7 +190,8 @@ class _Flown:
                 writer.close()
                 write_manifest(manifest_path(log), manifest.finished(values))
             if setting.verify and log is not None:
-                values |= _verified(log, values)
+                verified = verify_log(log)
+                values |= {"log_mismatches": verified.mismatches, "log_complete": verified.complete}
         return values
 
     def _watch(self, session: Session, now_ns: int) -> None:
@@ -203,6 +203,8 @@ class _Flown:
             self._phase = runner.phase
             self._phases.append(runner.phase.value)
             self._world.dynamics.posts_up = runner.phase in _ON_PADS  # nobody shall land on one while it flies
+        if self._upright:
+            self._take_clearance()
         if self._waiting:
             self._strike(runner.phase, now_ns)
         while self._begun and self._begun[0][0] <= now_ns:
@@ -244,6 +246,13 @@ class _Flown:
         self._min_m = min(self._min_m, float(pairs.min()))
         self._min_obedient_m = min(self._min_obedient_m, float(pairs[np.ix_(obedient, obedient)].min(initial=math.inf)))
 
+    def _take_clearance(self) -> None:
+        """Regions that are no spheres: in their norm, at every tick."""
+        truth = self._world.truth
+        counted = np.asarray(truth.airborne & ~self._unsteered)
+        clearance = min_clearance(frames.ned_from_enu(truth.pos_enu_m), self._plan.region, counted)
+        self._min_clearance = min(self._min_clearance, clearance)
+
     def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:
         plan, figures, setting = self._plan, runner.figures, self._case.setting
         radius_m = plan.spec.avoidance.radius_m
@@ -253,7 +262,10 @@ class _Flown:
         ended_safely = not late and all(state in ("down", "crashed", "failsafe") for state in states)
         reason = f"not over after {setting.limit_s:g} s, in phase {runner.phase.value}" if late else runner.reason
         outcome = "late" if late else str(runner.outcome)
-        clear = self._min_obedient_m >= radius_m
+        if not self._upright:
+            self._min_clearance = self._min_obedient_m / radius_m
+        clear = self._min_clearance >= 1.0
+        clear_of_all = clear if self._upright else self._min_m >= radius_m
         formed = bool(figures.converged)
         first, second = np.unravel_index(int(np.argmin(self._pair_m)), self._pair_m.shape)
         ids = [plan.spec.vehicles[int(i)].id for i in (first, second)]
@@ -263,7 +275,7 @@ class _Flown:
         return {
             "outcome": outcome,
             "reason": reason[:_WORDS_MAX],
-            "success": formed and outcome == "completed" and self._min_m >= radius_m and set(states) == {"down"},
+            "success": formed and outcome == "completed" and clear_of_all and set(states) == {"down"},
             "formed": formed,
             "safe": ended_safely and clear,
             "time_to_form_s": float(figures.time_to_form_s),
@@ -271,6 +283,7 @@ class _Flown:
             "min_distance_m": _finite(self._min_m),
             "nearest_pair": f"{ids[0]}-{ids[1]}" if math.isfinite(self._min_m) else "",
             "min_obedient_m": _finite(self._min_obedient_m),
+            "min_clearance": _finite(self._min_clearance),
             "start_distance_m": float(pads[np.triu_indices(plan.size, 1)].min()),
             "gridlocks": int(figures.gridlocks),
             "role_swaps": int(figures.role_swaps),
@@ -305,15 +318,6 @@ class _Flown:
         if getattr(pilot, "failsafe", None) is not None or pilot.mode_name() in _FAILSAFE_MODES:
             return "failsafe"
         return "armed on the ground" if on_ground else "in the air"
-
-
-def _verified(log: Path, values: Row) -> Row:
-    """Flies the log again; one in which no setpoint was sent is read to its end instead."""
-    if values["setpoints"]:
-        verified = verify_log(log)
-        return {"log_mismatches": verified.mismatches, "log_complete": verified.complete}
-    flight = load_flight(log)
-    return {"log_mismatches": 0, "log_complete": flight.message is None and flight.ticks == values["ticks"]}
 
 
 def emulated(case: Case, plan: MissionPlan) -> WorldConfig:

@@ -30,8 +30,8 @@ def interval(count: int, of: int) -> tuple[float, float]:
 
 
 def below_r(row: Row) -> bool:
-    """Whether two vehicles that could keep clear of each other came nearer than r, by the truth."""
-    return bool(row["min_obedient_m"] < row["safety_radius_m"])
+    """Whether two vehicles that could keep clear of each other came into each other's safety region, by the truth."""
+    return bool(row["min_clearance"] < 1.0)
 
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
@@ -43,6 +43,8 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         low, high = interval(hits, count)
         values |= {f"{name}_rate": hits / count if count else math.nan, f"{name}_low": low, f"{name}_high": high}
     times = np.array([row["time_to_form_s"] for row in rows if math.isfinite(row["time_to_form_s"])])
+    slower = np.array([row["time_to_form_s"] / row["kinematic_time_to_form_s"] for row in rows])
+    slower = slower[np.isfinite(slower)]
     distances = np.array([row["min_distance_m"] for row in rows if math.isfinite(row["min_distance_m"])])
     radii = {row["safety_radius_m"] for row in rows if math.isfinite(row["safety_radius_m"])}
     clearances = [row["min_distance_m"] - row["safety_radius_m"] for row in rows]
@@ -55,6 +57,9 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "median_time_to_form_s": _quantile(times, 0.5),
         "p95_time_to_form_s": _quantile(times, 0.95),
         "max_time_to_form_s": _quantile(times, 1.0),
+        "median_slower": _quantile(slower, 0.5),
+        "p95_slower": _quantile(slower, 0.95),
+        "kinematic_formed": sum(math.isfinite(row["kinematic_time_to_form_s"]) for row in rows),
         "max_hold_error_m": _quantile(
             np.array([row["formation_error_m"] for row in rows if math.isfinite(row["formation_error_m"])]), 1.0
         ),
@@ -132,6 +137,8 @@ def why(row: Row) -> str:
     elif row["min_distance_m"] < row["safety_radius_m"]:
         pair = f" between {row['nearest_pair']}" if row["nearest_pair"] else ""
         words.append(f"distance {row['min_distance_m']:.3f} m{pair}, r is {row['safety_radius_m']:g} m")
+    elif below_r(row):
+        words.append(f"two vehicles at {row['min_clearance']:.0%} of what their safety region asks for")
     if not row["error"] and not row["ended_safely"]:
         words.append(f"ended with {row['end']}")
     if row["outcome"] not in ("completed", "") or not row["formed"]:

@@ -136,10 +136,14 @@ class Lasting:
         self._for_ns, self._again = round(for_s * SECOND_NS), again
         self._since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._any_since = False
 
     def __call__(self, condition: BoolArray, now_ns: int) -> list[int]:
         """Takes the condition of this tick, shape (n,); returns the rows that are to be told now."""
+        if not (condition.any() or self._any_since):
+            return []
         self._since_ns = np.where(condition, np.where(self._since_ns == NEVER, now_ns, self._since_ns), NEVER)
+        self._any_since = bool(condition.any())
         if self._again:
             self._told &= condition
         news = condition & (now_ns - self._since_ns >= self._for_ns) & ~self._told

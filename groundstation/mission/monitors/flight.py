@@ -111,6 +111,7 @@ class LateTicks:
         self._late_s = plan.spec.limits.late_s
         self._least_hz = max(_RATE_SHARE * plan.spec.rate_hz, _RATE_MIN_HZ)
         self._ticks: deque[int] = deque()
+        self._recent: deque[int] = deque()
         self._late, self._slow, self._silent = Lasting(1, again=True), Lasting(1), Lasting(1)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
@@ -118,10 +119,13 @@ class LateTicks:
         now_ns = sight.now_ns
         gap_s = (now_ns - self._ticks[-1]) / SECOND_NS if self._ticks else 0.0
         self._ticks.append(now_ns)
+        self._recent.append(now_ns)
         while now_ns - self._ticks[0] > _STREAM_OVER_S * SECOND_NS:
             self._ticks.popleft()
+        while now_ns - self._recent[0] >= _RATE_OVER_S * SECOND_NS:
+            self._recent.popleft()
         reach_s = (now_ns - self._ticks[0]) / SECOND_NS
-        recent = sum(now_ns - tick < _RATE_OVER_S * SECOND_NS for tick in self._ticks)
+        recent = len(self._recent)
         if self._late(np.array([gap_s > self._late_s]), now_ns):
             what = f"the ground station stood still for {gap_s:.2f} s, limit {self._late_s:g} s"
             yield Finding(Reaction.ALL_HOME, what)
