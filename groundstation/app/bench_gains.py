@@ -19,6 +19,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from groundstation.app.output import Output
+from groundstation.app.picture_style import BLACK, LINE
 from groundstation.app.resources import packaged_configs
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray
@@ -309,10 +310,10 @@ def draw(path: Path, report: Report) -> None:
             families.setdefault(f"{timing.method}, {family}", []).append(timing)
     for marker, (label, rows) in zip("osD^vP", families.items(), strict=False):
         plane.loglog([row.n for row in rows], [row.seconds for row in rows], marker=marker, label=label)
-    plane.loglog([8], [report.baseline_s], marker="x", linestyle="", color="#222222", label="authors' formulation, SCS")
+    plane.loglog([8], [report.baseline_s], marker="x", linestyle="", color=BLACK, label="authors' formulation, SCS")
     plane.set_xlabel("agents")
     plane.set_ylabel("time to a certified gap of 1 %, s")
-    plane.grid(visible=True, which="major", color="#d5d9de", linewidth=0.6)
+    plane.grid(visible=True, which="major", color=LINE, linewidth=0.6)
     plane.spines[["top", "right"]].set_visible(False)
     plane.legend(frameon=False)
     figure.savefig(path, dpi=140)

@@ -8,10 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from groundstation.app.picture_style import BLUE, INK, QUIET, VERMILION
 from groundstation.core.errors import UserError
 from groundstation.design.graphs import Suggestion
-
-_INK, _BLUE, _ORANGE, _GREY = "#22272e", "#0072B2", "#D55E00", "#8a929b"
 
 
 def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
@@ -28,10 +27,10 @@ def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
     space = figure.add_subplot(1, 2, 1, projection="3d")
     points = suggestion.formation.points_enu_m
     for i, j in suggestion.formation.edges:
-        space.plot(*points[[i, j]].T, color=_GREY, linewidth=1.2)
-    space.plot(*points.T, linestyle="", marker="o", color=_BLUE, markersize=8)
+        space.plot(*points[[i, j]].T, color=QUIET, linewidth=1.2)
+    space.plot(*points.T, linestyle="", marker="o", color=BLUE, markersize=8)
     for agent, point in enumerate(points, start=1):
-        space.text(*(float(value) for value in point), f"  {agent}", color=_INK)
+        space.text(*(float(value) for value in point), f"  {agent}", color=INK)
     space.set_xlabel("x, m", labelpad=8)
     space.set_ylabel("y, m", labelpad=12)
     space.set_zlabel("z, m", labelpad=6)
@@ -43,16 +42,21 @@ def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
     plane = figure.add_subplot(1, 2, 2)
     counts = np.array([len(row.edges) for row in suggestion.rows])
     slowest = np.array([row.slowest for row in suggestion.rows])
-    plane.plot(counts, slowest, marker="o", color=_BLUE)
+    plane.plot(counts, slowest, marker="o", color=BLUE)
     plane.plot(
-        len(suggestion.formation.edges), suggestion.slowest, marker="o", markersize=14, fillstyle="none", color=_ORANGE
+        len(suggestion.formation.edges),
+        suggestion.slowest,
+        marker="o",
+        markersize=14,
+        fillstyle="none",
+        color=VERMILION,
     )
     plane.annotate(
         "chosen",
         (len(suggestion.formation.edges), suggestion.slowest),
         xytext=(10, -14),
         textcoords="offset points",
-        color=_ORANGE,
+        color=VERMILION,
     )
     plane.set_xlabel("edges")
     plane.set_ylabel("slowest mode, 1/s")

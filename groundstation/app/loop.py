@@ -1,6 +1,7 @@
 """The loops that fly: one on virtual time against the emulator, one on the wall clock against sockets.
 
-The wall-clock loop is the one place in the program that waits for bytes and for the next tick.
+A short third one talks with vehicles without flying them. This is the one place in the program that waits for bytes
+and for the next tick.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from typing import Protocol
 
 from groundstation.app.session import Session
 from groundstation.links.link import Link
+from groundstation.mavlink.station import Outgoing as Datagram
 from sitl.world import Outgoing
 
 _MICROSECOND_NS = 1_000
 _STOOD_STILL_NS = 300_000_000
 _CATCH_UP_NS = 100_000_000
+_TALK_TICK_NS = 100_000_000
 _DRAIN_MAX = 50  # calls of `receive` on one link before a tick that comes late
 
 
@@ -255,6 +258,46 @@ def _drain(session: Session, links: Sequence[Link], clock: FlightClock) -> None:
                 break
             for peer, data in arrived:
                 session.deliver(number, peer, data, clock.now_ns())
+
+
+def talk(
+    links: Sequence[Link],
+    clock: FlightClock,
+    seconds: float,
+    *,
+    receive: Callable[[int, str, bytes, int], None],
+    outgoing: Callable[[int], Sequence[Datagram]],
+    interrupts: Interrupts,
+    done: Callable[[], bool] = lambda: False,
+) -> int:
+    """Listens and speaks on links for some seconds, ten times a second, without flying anybody.
+
+    Args:
+        links: open ones, in the order of their numbers.
+        clock: time, from which the seconds count.
+        seconds: how long at most.
+        receive: takes what has arrived: number of the link, peer, bytes, time in ns.
+        outgoing: what is to be sent at a time in ns.
+        interrupts: a Ctrl-C ends it.
+        done: asked in between; True ends it early.
+
+    Returns:
+        The time at which it ended, ns.
+    """
+    with Waiting(links) as waiting:
+        now_ns = next_tick_ns = 0
+        while now_ns < seconds * 1e9 and not interrupts.count and not done():
+            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
+                for peer, data in links[number].receive():
+                    receive(number, peer, data, clock.now_ns())
+            now_ns = clock.now_ns()
+            if now_ns >= next_tick_ns:
+                next_tick_ns = now_ns + _TALK_TICK_NS
+                for link in links:
+                    link.service(now_ns)
+                for datagram in outgoing(now_ns):
+                    links[datagram.link].send(datagram.peer, b"".join(datagram.frames))
+    return now_ns
 
 
 class _Source(Protocol):

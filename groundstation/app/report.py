@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE, html_page
 from groundstation.core.errors import UserError
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.records.notes import Event, Operator
@@ -23,33 +24,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, without the yellow that is lost on white, and two that keep apart from them.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#222222", "#7B3294")
-_INK = "#22272e"
-_QUIET = "#8a929b"
-_LINE = "#d5d9de"
-_NEIGHBOURS = "#0072B2"
-_OTHERS = "#E69F00"
-_ALARM = "#B2182B"
+_NEIGHBOURS, _OTHERS = BLUE, ORANGE
 _MOST_INSTANTS = 3000
-_STYLE: dict[Any, Any] = {
+_STYLE: dict[Any, Any] = STYLE | {
     "font.size": 13.0,
     "axes.labelsize": 13.5,
-    "axes.edgecolor": _QUIET,
-    "axes.labelcolor": _INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e8eaed",
-    "grid.linewidth": 0.8,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "legend.frameon": False,
-    "legend.fontsize": 12.0,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
+    "xtick.color": INK,
+    "ytick.color": INK,
 }
+_CSS = """
+body { max-width: 1200px; }
+h1 { font-size: 1.8rem; } h2 { font-size: 1.25rem; margin: 2.5rem 0 0; } p { margin: 0.2rem 0 0.6rem; }
+img { width: 100%; }
+th, td { font-weight: normal; padding: 0.3rem 1.5rem 0.3rem 0; }
+"""
 
 
 @dataclass(frozen=True)
@@ -155,7 +143,6 @@ def key_figures(flight: Flight) -> list[tuple[str, str]]:
 
 def to_html(flight: Flight) -> str:
     """The page: key figures, pictures, events; no script, no resource from elsewhere."""
-    name = html.escape(flight.name)
     rows = "\n".join(
         f"<tr><th>{html.escape(label)}</th><td>{html.escape(value)}</td></tr>" for label, value in key_figures(flight)
     )
@@ -170,27 +157,14 @@ def to_html(flight: Flight) -> str:
         for note in notes
     )
     log = f"<section><h2>Events</h2><table>{events}</table></section>" if notes else ""
-    return f"""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{name}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: {_INK}; max-width: 1200px; margin: 2rem auto; padding: 0 1rem; }}
-h1 {{ font-size: 1.8rem; }} h2 {{ font-size: 1.25rem; margin: 2.5rem 0 0; }} p {{ margin: 0.2rem 0 0.6rem; }}
-img {{ width: 100%; height: auto; }}
-table {{ border-collapse: collapse; }}
-th, td {{ text-align: left; font-weight: normal; padding: 0.3rem 1.5rem 0.3rem 0; border-bottom: 1px solid {_LINE}; }}
-td {{ font-variant-numeric: tabular-nums; }}
-</style>
-<h1>{name}</h1>
+    body = f"""
 <table>
 {rows}
 </table>
 {pictures}
 {log}
-</html>
 """
+    return html_page(flight.name, body, _CSS)
 
 
 def _draw_trajectories(figure: Figure, flight: Flight) -> None:
@@ -238,7 +212,7 @@ def _draw_trajectories(figure: Figure, flight: Flight) -> None:
     _title(figure, f"{flight.name}: trajectories, and the team {words}")
     if not flight.distances_known and len(tracks) > 1:
         axes.text2D(0.02, 0.02, "each vehicle in its own frame: no manifest tells where they start",
-                    transform=axes.transAxes, color=_ALARM)  # fmt: skip
+                    transform=axes.transAxes, color=RED)  # fmt: skip
     _explain(figure, flight)
 
 
@@ -251,21 +225,21 @@ def _draw_graph(axes: Any, flight: Flight, final: FloatArray, t_ns: int) -> None
     for i, j in formation.edges:
         if i in holder and j in holder:
             ends = final[[holder[i], holder[j]]]
-            axes.plot(ends[:, 0], ends[:, 1], ends[:, 2], color=_INK, lw=2.2, alpha=0.75, zorder=6, clip_on=False)
+            axes.plot(ends[:, 0], ends[:, 1], ends[:, 2], color=INK, lw=2.2, alpha=0.75, zorder=6, clip_on=False)
 
 
 def _explain(figure: Figure, flight: Flight) -> None:
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
     keys = [
-        Line2D([], [], marker="o", ls="", ms=7, mfc="white", mec=_INK, mew=1.5, label="start"),
-        Line2D([], [], marker="o", ls="", ms=12, mfc=_INK, mec="white", label="vehicle, with its number"),
+        Line2D([], [], marker="o", ls="", ms=7, mfc="white", mec=INK, mew=1.5, label="start"),
+        Line2D([], [], marker="o", ls="", ms=12, mfc=INK, mec="white", label="vehicle, with its number"),
         Line2D([], [], color="#b9c0c8", lw=1.2, label="path seen from above"),
     ]
     if flight.formation is not None and flight.roles:
-        keys.append(Line2D([], [], color=_INK, lw=2.2, alpha=0.75, label="sensing graph"))
+        keys.append(Line2D([], [], color=INK, lw=2.2, alpha=0.75, label="sensing graph"))
     if any(phase.name in ("form", "hold") for phase in flight.phases):
-        keys.append(Line2D([], [], color=_INK, lw=1, ls=(0, (1, 2)), label="way back"))
+        keys.append(Line2D([], [], color=INK, lw=1, ls=(0, (1, 2)), label="way back"))
     figure.legend(handles=keys, loc="lower center", ncols=len(keys))
 
 
@@ -280,7 +254,7 @@ def _prepare_box(axes: Any, low: FloatArray, high: FloatArray) -> None:
     axes.view_init(elev=22, azim=-52)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
-        axis.line.set_color(_QUIET)
+        axis.line.set_color(QUIET)
     axes.locator_params(nbins=6)
     axes.zaxis.set_major_locator(_few_ticks())
 
@@ -315,10 +289,10 @@ def _draw_distances(figure: Figure, flight: Flight) -> None:
         highest = float(np.nanmax(distances))
         row = int(np.nanargmin(np.nanmin(np.where(np.isnan(distances), np.inf, distances), axis=1)))
         least = float(np.nanmin(distances[row]))
-        axes.plot(time_s[row], least, "o", ms=8, mfc="white", mec=_ALARM, mew=2, zorder=5)
+        axes.plot(time_s[row], least, "o", ms=8, mfc="white", mec=RED, mew=2, zorder=5)
         shift = -4 if least > 0.2 * highest else 18
         axes.annotate(f"smallest: {least:.3f} m", (time_s[row], least), xytext=(12, shift), va="top", weight="bold",
-                      textcoords="offset points", color=_ALARM, zorder=6,
+                      textcoords="offset points", color=RED, zorder=6,
                       bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85})  # fmt: skip
     axes.set_ylabel("distance in m")
     _title(figure, f"{flight.name}: distances between all vehicles")
@@ -368,7 +342,7 @@ def _draw_setpoints(figure: Figure, flight: Flight) -> None:
             keep = _thinning(len(track.setpoint_t_ns))
             time_s = (track.setpoint_t_ns[keep] - flight.start_ns) / 1e9
             axes.plot(time_s, track.setpoint_vel_enu_m_s[keep, axis], color=colour, lw=1.1, alpha=0.85)
-        axes.axhline(0, color=_QUIET, lw=0.8, zorder=1)
+        axes.axhline(0, color=QUIET, lw=0.8, zorder=1)
         axes.set_ylabel(f"{direction} in m/s")
         _finish_time_axis(axes, flight, label=axis == 2, names=axis == 0)
     _title(figure, f"{flight.name}: velocity setpoints")
@@ -417,10 +391,10 @@ def _finish_time_axis(axes: Axes, flight: Flight, *, label: bool = True, names: 
         start, stop = ((t - flight.start_ns) / 1e9 for t in (phase.start_ns, phase.stop_ns))
         if number % 2 == 0:
             axes.axvspan(start, stop, color="#f1f4f7", zorder=0, lw=0)
-        axes.axvline(start, color=_LINE, lw=1, zorder=0)
+        axes.axvline(start, color=LINE, lw=1, zorder=0)
         if names and stop - start > 0.0068 * stop_s * len(phase.name):
             axes.annotate(phase.name, ((start + stop) / 2, 1), xycoords=("data", "axes fraction"), xytext=(0, 6),
-                          textcoords="offset points", ha="center", va="bottom", color=_INK, fontsize=12)  # fmt: skip
+                          textcoords="offset points", ha="center", va="bottom", color=INK, fontsize=12)  # fmt: skip
 
 
 def _spans(flight: Flight) -> list[Phase]:
@@ -428,7 +402,7 @@ def _spans(flight: Flight) -> list[Phase]:
 
 
 def _title(figure: Figure, text: str) -> None:
-    figure.suptitle(text, x=0.012, ha="left", weight="bold", fontsize=16, color=_INK)
+    figure.suptitle(text, x=0.012, ha="left", weight="bold", fontsize=16, color=INK)
 
 
 def _legend(figure: Figure, keys: Sequence[tuple[str, str]], title: str | None = None) -> None:
@@ -442,12 +416,12 @@ def _legend(figure: Figure, keys: Sequence[tuple[str, str]], title: str | None =
 
 def _say_missing(figure: Figure, text: str) -> None:
     figure.clear()
-    figure.text(0.5, 0.5, text, ha="center", va="center", color=_QUIET, fontsize=16)
+    figure.text(0.5, 0.5, text, ha="center", va="center", color=QUIET, fontsize=16)
 
 
 def _colours(count: int) -> list[Any]:
-    if count <= len(_COLOURS):
-        return list(_COLOURS[:count])
+    if count <= len(SERIES):
+        return list(SERIES[:count])
     import matplotlib as mpl  # noqa: PLC0415
 
     return list(mpl.colormaps["viridis"](np.linspace(0.0, 0.9, count)))

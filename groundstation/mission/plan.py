@@ -17,7 +17,7 @@ import numpy as np
 
 from groundstation.core.control import ScaleFunction
 from groundstation.core.errors import UserError
-from groundstation.core.files import is_file, parse_yaml_value, read_yaml, validate
+from groundstation.core.files import is_file, read_yaml, validate
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
 from groundstation.core.regions import SafetyRegion, UprightRegion, build_region
@@ -33,6 +33,7 @@ from groundstation.design.store import (
 from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
+from groundstation.mission.overrides import override_value
 from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
 from groundstation.mission.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
 from groundstation.mission.schema import MissionSpec
@@ -253,7 +254,7 @@ def read_spec(path: Path, overrides: Sequence[str] = ()) -> MissionSpec:
     """
     values = read_yaml(path)
     for override in overrides:
-        _override(values, override)
+        override_value(values, override)
     return validate(MissionSpec, values, str(path))
 
 
@@ -514,33 +515,6 @@ def _check_signing(spec: MissionSpec, addresses: Sequence[LinkAddress], source: 
                 f"{source}: signing: {address.url}: MAVSDK sends setpoints by itself, which cannot be signed here; use"
                 f" {address.url.removeprefix('mavsdk://')}, or give the link key_file: null in signing.links"
             )
-
-
-def _override(values: dict[str, Any], override: str) -> None:
-    path, separator, text = override.partition("=")
-    if not separator or not path:
-        raise UserError(f"--set {override}: expected key.path=value, for example speed_limit_m_s=0.3")
-    try:
-        value = parse_yaml_value(text, path)
-    except UserError:
-        raise UserError(f"--set {override}: the value is not valid YAML") from None
-    *parents, last = path.split(".")
-    place: Any = values
-    for number, key in enumerate([*parents, last]):
-        where = ".".join([*parents, last][: number + 1])
-        step: str | int = key
-        if isinstance(place, list):
-            if not (key.isascii() and key.isdigit() and len(key) < 10) or int(key) >= len(place):
-                raise UserError(f"--set {override}: {where}: expected a number from 0 to {len(place) - 1}")
-            step = int(key)
-        elif not isinstance(place, dict):
-            raise UserError(f"--set {override}: {where}: there are no keys below a single value")
-        if number == len(parents):
-            place[step] = value
-        elif isinstance(place, dict):
-            place = place.setdefault(step, {})
-        else:
-            place = place[int(step)]
 
 
 def _relative(mission: Path, name: str, key: str) -> Path:

@@ -142,3 +142,21 @@ def pair(*changes: str, autopilots: tuple[str, str] = ("px4", "arducopter")) -> 
         for key, value in (("autopilot", autopilot), ("profile", profiles[autopilot]))
     ]
     return mission("first_flight2", *kinds, "steps.1.hold.seconds=2", *changes)
+
+
+def after(phase: Phase, for_s: float = 0.1) -> Callable[[Flight], bool]:
+    """When that much time has passed since a phase was seen first, whatever the phase is by then."""
+    since: list[int] = []
+
+    def reached(flight: Flight) -> bool:
+        if flight.runner.phase is phase and not since:
+            since.append(flight.now_ns)
+        return bool(since) and flight.now_ns - since[0] >= for_s * SECOND_NS
+
+    return reached
+
+
+def still_in(phase: Phase, for_s: float = 0.0) -> Callable[[Flight], bool]:
+    """When that much time has passed since a phase was seen first, and the team is in it."""
+    reached = after(phase, for_s)
+    return lambda flight: reached(flight) and flight.runner.phase is phase

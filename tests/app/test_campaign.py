@@ -19,7 +19,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.app import cli
 from groundstation.app.campaign.cases import Case, Cases, scattered
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.campaign.report import to_markdown
@@ -33,6 +32,7 @@ from groundstation.app.resources import packaged_configs
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from sitl.faults import KINDS
+from tests.app.commands import gs
 
 CONFIGS = packaged_configs()
 CUBE8 = CONFIGS / "missions" / "cube8.yaml"
@@ -61,19 +61,6 @@ def _case(folder: Path, text: str, run: int = 0, seed: int = 1) -> Case:
     return Cases(CUBE8, load_vary(_written(folder / "vary.yaml", text)), seed).case(run)
 
 
-def _gs(
-    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["gs", *arguments])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as ended:
-        code = int(ended.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
 def test_a_killed_campaign_that_is_resumed_gives_the_same_bytes_and_every_run_can_be_had_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -81,7 +68,7 @@ def test_a_killed_campaign_that_is_resumed_gives_the_same_bytes_and_every_run_ca
     _written(tmp_path / "vary.yaml", SHORT)
     common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--seed", "5", "--runs", "6", "--json"]
     whole = [*common, "--workers", "1", "-o", "whole"]
-    code, out, _ = _gs(whole, monkeypatch, capsys)
+    code, out, _ = gs(whole, monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
     assert (code, values["runs"], values["errors"]) == (0, 6, 0)
     assert {"success_rate", "success_low", "success_high", "min_distance_m", "safety_radius_m",
@@ -117,27 +104,27 @@ cli.main()
     assert not (tmp_path / "killed" / "runs.parquet").exists()
     assert len(list((tmp_path / "killed" / "parts").glob("part-*.parquet"))) >= 1
 
-    code, _, err = _gs(killed, monkeypatch, capsys)
+    code, _, err = gs(killed, monkeypatch, capsys)
     assert code == 2
     assert "--resume" in err
-    code, _, err = _gs([*killed, "--resume", "--seed", "6"], monkeypatch, capsys)
+    code, _, err = gs([*killed, "--resume", "--seed", "6"], monkeypatch, capsys)
     assert code == 2
     assert "another mission, seed or vary file" in err
-    code, out, err = _gs([*killed, "--resume"], monkeypatch, capsys)
+    code, out, err = gs([*killed, "--resume"], monkeypatch, capsys)
     assert code == 0
     assert "3 are there already" in err
     assert (tmp_path / "killed/runs.parquet").read_bytes() == (tmp_path / "whole/runs.parquet").read_bytes()
 
     # The command that the summary gives flies that run again.
     worst = values["worst"][0]
-    code, out, _ = _gs([*shlex.split(worst["replay"])[1:], "--json"], monkeypatch, capsys)
+    code, out, _ = gs([*shlex.split(worst["replay"])[1:], "--json"], monkeypatch, capsys)
     again = json.loads(out.splitlines()[-1])
     there = rows[worst["run"]]
     assert {key: again[key] for key in SCHEMA.names} == {
         key: None if isinstance(value, float) and math.isnan(value) else value for key, value in there.items()
     }
     first = Path(again["log"]).read_bytes()
-    _gs([*shlex.split(worst["replay"])[1:], "--json"], monkeypatch, capsys)
+    gs([*shlex.split(worst["replay"])[1:], "--json"], monkeypatch, capsys)
     assert Path(again["log"]).read_bytes() == first
     assert len(first) > 1000
 
@@ -154,9 +141,9 @@ def test_any_scheduler_by_its_address(
     with package.LocalCluster(
         1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
     ) as there:
-        code, _, _ = _gs([*common, "--scheduler", there.scheduler_address, "-o", "there"], monkeypatch, capsys)
+        code, _, _ = gs([*common, "--scheduler", there.scheduler_address, "-o", "there"], monkeypatch, capsys)
         assert code == 0
-    code, _, _ = _gs([*common, "--workers", "0", "-o", "here"], monkeypatch, capsys)
+    code, _, _ = gs([*common, "--workers", "0", "-o", "here"], monkeypatch, capsys)
     assert code == 0
     assert (tmp_path / "there/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
 

@@ -17,8 +17,8 @@ from groundstation.app.emulator import world_config
 from groundstation.app.output import Output
 from groundstation.mission.check_table import CheckRow
 from sitl.server import Server
+from tests.app.commands import gs
 from tests.app.flights import pair
-from tests.app.test_cli import _gs
 
 
 def test_fix_sets_what_a_check_before_has_refused(
@@ -38,8 +38,8 @@ def test_fix_sets_what_a_check_before_has_refused(
         thread = Thread(target=server.run, args=(stop,), daemon=True)
         thread.start()
         try:
-            refused = _gs(arguments, monkeypatch, capsys)
-            fixed = _gs([*arguments, "--fix"], monkeypatch, capsys)
+            refused = gs(arguments, monkeypatch, capsys)
+            fixed = gs([*arguments, "--fix"], monkeypatch, capsys)
         finally:
             stop.set()
             thread.join()
@@ -76,7 +76,7 @@ def test_a_mission_that_does_not_fit_itself_is_refused(
     changes: list[str], words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = [argument for change in changes for argument in ("--set", change)]
-    code, out, err = _gs(["check", "--mission", "cube8.yaml", "--json", *arguments], monkeypatch, capsys)
+    code, out, err = gs(["check", "--mission", "cube8.yaml", "--json", *arguments], monkeypatch, capsys)
     assert code == 3
     values = json.loads(out.splitlines()[-1])
     assert (values["mission"], values["ready"], values["vehicles"]) == ("cube8", False, [])
@@ -97,7 +97,7 @@ def test_a_mission_that_does_not_fit_itself_is_refused(
 def test_what_cannot_be_read_is_wrong_usage(
     arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, err = _gs(["check", *arguments], monkeypatch, capsys)
+    code, _, err = gs(["check", *arguments], monkeypatch, capsys)
     assert code == 2
     assert err.strip()
 

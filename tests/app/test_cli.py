@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ import pytest
 from groundstation.app import cli
 from groundstation.app.output import Output, flush_streams, hold_streams, to_json
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, encode_batch
+from tests.app.commands import gs
 
 FLY_KEYS = {
     "mission", "outcome", "reason", "vehicles", "converged", "time_to_form_s", "formation_error_m", "min_distance_m",
@@ -22,24 +22,11 @@ FLY_KEYS = {
 }  # fmt: skip
 
 
-def _gs(
-    arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["gs", *arguments])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as ended:
-        code = int(ended.code or 0)
-    out, err = capsys.readouterr()
-    return code, out, err
-
-
 def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, _ = _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--seed", "7", "--json"], monkeypatch, capsys)
+    code, out, _ = gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--seed", "7", "--json"], monkeypatch, capsys)
     assert code == 0
     values = json.loads(out.splitlines()[-1])
     assert set(values) == FLY_KEYS
@@ -48,7 +35,7 @@ def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
     assert values["formation_error_m"] <= 0.05
     assert values["min_distance_m"] >= values["safety_radius_m"] == 0.45
 
-    code, out, _ = _gs(["replay", values["log"], "--verify", "--json"], monkeypatch, capsys)
+    code, out, _ = gs(["replay", values["log"], "--verify", "--json"], monkeypatch, capsys)
     assert code == 0
     replayed = json.loads(out.splitlines()[-1])
     assert (replayed["mismatches"], replayed["max_error_m_s"]) == (0, 0.0)
@@ -61,7 +48,7 @@ def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
     marker = data.index(bytes([255, 190, 84, 0, 0]), len(data) // 2)
     data[marker + 8] ^= 1
     log.write_bytes(bytes(data))
-    code, out, err = _gs(["replay", str(log), "--verify", "--json"], monkeypatch, capsys)
+    code, out, err = gs(["replay", str(log), "--verify", "--json"], monkeypatch, capsys)
     assert code == 1
     assert json.loads(out.splitlines()[-1])["mismatches"] >= 1
     assert "Traceback" not in err
@@ -73,14 +60,14 @@ def test_preflight_that_fails_ends_with_3(
     monkeypatch.chdir(tmp_path)
     links = [f"vehicles.{number}.link=udpin://127.0.0.1:0" for number in range(8)]
     changes = [argument for change in ["limits.preflight_s=0.5", *links] for argument in ("--set", change)]
-    code, out, err = _gs(["fly", "--mission", "cube8.yaml", "--json", *changes], monkeypatch, capsys)
+    code, out, err = gs(["fly", "--mission", "cube8.yaml", "--json", *changes], monkeypatch, capsys)
     assert code == 3
     values = json.loads(out.splitlines()[-1])
     assert values["outcome"] == "aborted"
     assert values["setpoints"] == 0
     assert "nothing was armed" in err
     assert "vehicle 8: no heartbeat" in err
-    code, out, err = _gs(["check", "--mission", "cube8.yaml", "--json", *changes], monkeypatch, capsys)
+    code, out, err = gs(["check", "--mission", "cube8.yaml", "--json", *changes], monkeypatch, capsys)
     assert code == 3
     assert json.loads(out.splitlines()[-1])["ready"] is False
 
@@ -110,7 +97,7 @@ def test_wrong_usage_ends_with_2_and_a_message(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, err = _gs(arguments, monkeypatch, capsys)
+    code, out, err = gs(arguments, monkeypatch, capsys)
     assert code == 2
     assert err.strip()
     assert "Traceback" not in out + err
@@ -121,13 +108,13 @@ def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
+    assert gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
     whole = Path("a.tlog").read_bytes()
-    code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     assert (code, json.loads(out.splitlines()[-1])["complete"]) == (0, True)
     Path("a.tlog").write_bytes(whole[: len(whole) * 2 // 3 + 5])
     for arguments in (["replay", "a.tlog", "--verify", "--json"], ["replay", "a.tlog", "--json"]):
-        code, out, err = _gs(arguments, monkeypatch, capsys)
+        code, out, err = gs(arguments, monkeypatch, capsys)
         values = json.loads(out.splitlines()[-1])
         assert code == 1
         assert values["vehicles"] == 8
@@ -137,11 +124,11 @@ def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
         assert "Traceback" not in err
     # Cut between two records: nothing shows it but the manifest, which knows how long the flight was.
     Path("a.tlog").write_bytes(whole[: whole.rindex(bytes([255, 190, 129, 1, 0]), 0, len(whole) // 2) - 5 - 8])
-    code, out, err = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    code, out, err = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     assert (code, json.loads(out.splitlines()[-1])["complete"]) == (1, False)
     assert "ends before the flight does" in err
     Path("a.tlog").write_bytes(b"")
-    code, _, err = _gs(["replay", "a.tlog", "--json"], monkeypatch, capsys)
+    code, _, err = gs(["replay", "a.tlog", "--json"], monkeypatch, capsys)
     assert code == 2
     assert "is empty" in err
 
@@ -150,7 +137,7 @@ def test_a_command_that_was_changed_in_the_log_is_found_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)
+    gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)
     data = Path("a.tlog").read_bytes()
     start = data.index(bytes([255, 190, 76, 0, 0])) - 5
     (command,) = FrameSplitter().feed(data[start : start + 12 + data[start + 1]])
@@ -159,7 +146,7 @@ def test_a_command_that_was_changed_in_the_log_is_found_too(
     values["param2"] += 1.0
     (forged,) = encode_batch("COMMAND_LONG", values, [Encoder(255, 190, seq=command.seq)])
     Path("a.tlog").write_bytes(data.replace(command.raw, forged, 1))
-    code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     assert (code, json.loads(out.splitlines()[-1])["mismatches"]) == (1, 1)
 
 
@@ -167,7 +154,7 @@ def test_with_json_even_a_refusal_is_an_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, err = _gs(["fly", "--mission", "nowhere.yaml", "--json"], monkeypatch, capsys)
+    code, out, err = gs(["fly", "--mission", "nowhere.yaml", "--json"], monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
     assert (code, values["exit_code"]) == (2, 2)
     assert "nowhere.yaml: no such file" in values["error"]
@@ -175,7 +162,7 @@ def test_with_json_even_a_refusal_is_an_object(
 
 
 def test_the_version_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = _gs(["--version"], monkeypatch, capsys)
+    code, out, _ = gs(["--version"], monkeypatch, capsys)
     assert (code, out.split()[0]) == (0, "gs")
 
 
@@ -184,21 +171,21 @@ def test_the_log_of_a_real_flight_is_never_written_over(
 ) -> None:
     log = tmp_path / "precious.tlog"
     log.write_bytes(b"precious")
-    code, _, err = _gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", str(log)], monkeypatch, capsys)
+    code, _, err = gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", str(log)], monkeypatch, capsys)
     assert code == 2
     assert "not written over" in err
     assert log.read_bytes() == b"precious"
-    code, _, err = _gs(["import", "crazyswarm", str(tmp_path), "-o", str(log)], monkeypatch, capsys)
+    code, _, err = gs(["import", "crazyswarm", str(tmp_path), "-o", str(log)], monkeypatch, capsys)
     assert code == 2
     assert log.read_bytes() == b"precious"
 
 
 def test_the_overview_names_every_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = _gs(["--help"], monkeypatch, capsys)
+    code, out, _ = gs(["--help"], monkeypatch, capsys)
     assert code == 0
     for name in cli.COMMANDS:
         assert f"  {name} " in out
-        assert _gs([name, "--help"], monkeypatch, capsys)[0] == 0
+        assert gs([name, "--help"], monkeypatch, capsys)[0] == 0
 
 
 def test_json_is_strict() -> None:
@@ -224,7 +211,7 @@ def test_a_timetable_of_faults_goes_with_a_dry_run(
     monkeypatch.chdir(tmp_path)
     Path("faults.yaml").write_text("faults:\n  - {kind: arming_refused, vehicles: [4]}\n", encoding="utf-8")
     fly = ["fly", "--mission", "cube8.yaml", "--dry-run", "--json", "--set", "limits.preflight_s=5"]
-    code, out, _ = _gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
+    code, out, _ = gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
     assert (code, values["outcome"], values["setpoints"]) == (3, "aborted", 0)
     assert values["reason"].startswith("vehicle 4: not ready to arm")
@@ -234,10 +221,10 @@ def test_a_timetable_of_faults_goes_with_a_dry_run(
         ("faults: [", "is no YAML"),
     ):
         Path("faults.yaml").write_text(text, encoding="utf-8")
-        code, _, err = _gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
+        code, _, err = gs([*fly, "--faults", "faults.yaml"], monkeypatch, capsys)
         assert code == 2, text
         assert message in err
-    code, _, err = _gs(["fly", "--mission", "cube8.yaml", "--faults", "faults.yaml"], monkeypatch, capsys)
+    code, _, err = gs(["fly", "--mission", "cube8.yaml", "--faults", "faults.yaml"], monkeypatch, capsys)
     assert code == 2
     assert "faults are for a dry run" in err
 
@@ -247,10 +234,10 @@ def test_a_flight_by_gps_can_be_looked_at_like_any_other(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     fly = ["fly", "--mission", "px4_cube8.yaml", "--dry-run", "--json", "--log", "a.tlog"]
-    code, out, _ = _gs(fly, monkeypatch, capsys)
+    code, out, _ = gs(fly, monkeypatch, capsys)
     assert code == 0
     true_m = json.loads(out.splitlines()[-1])["min_distance_m"]
-    code, out, _ = _gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
+    code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
     assert (code, values["mismatches"]) == (0, 0)
     assert values["min_distance_m"] == pytest.approx(true_m, abs=1.0)  # what GPS says, not what is

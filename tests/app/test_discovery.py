@@ -11,13 +11,13 @@ from threading import Event, Thread
 import pytest
 import yaml
 
-from groundstation.app.cli import main
 from groundstation.app.discovery import Discovery
 from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.codec import Encoder
 from groundstation.mission.schema import VehicleSpec
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
+from tests.app.commands import gs
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -115,21 +115,13 @@ def served() -> Iterator[int]:
         thread.join()
 
 
-def _run(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["gs", *arguments])
-    try:
-        main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
-
-
 def test_the_command_finds_a_vehicle_over_tcp(
     served: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     url = f"tcpout://127.0.0.1:{served}"
-    assert _run(["vehicles", url, "--seconds", "3", "--json"], monkeypatch) == 0
-    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    code, out, _ = gs(["vehicles", url, "--seconds", "3", "--json"], monkeypatch, capsys)
+    assert code == 0
+    answer = json.loads(out.splitlines()[-1])
     (vehicle,) = answer["vehicles"]
     assert (vehicle["id"], vehicle["autopilot"], vehicle["link"]) == (5, "arducopter", url)
     assert yaml.safe_load(answer["block"])["vehicles"][0]["id"] == 5
@@ -148,13 +140,14 @@ def test_the_command_fails_where_two_bear_one_id_and_names_it(
         threads = [Thread(target=server.run, args=(stop,), daemon=True) for server in (one, two)]
         for thread in threads:
             thread.start()
-        assert _run(["vehicles", f"udpin://127.0.0.1:{port}", "--seconds", "3", "--json"], monkeypatch) == 1
+        arguments = ["vehicles", f"udpin://127.0.0.1:{port}", "--seconds", "3", "--json"]
+        code, out, err = gs(arguments, monkeypatch, capsys)
         stop.set()
         for thread in threads:
             thread.join()
-    captured = capsys.readouterr()
-    answer = json.loads(captured.out.splitlines()[-1])
-    assert "system 5 is heard at 127.0.0.1:" in captured.err
+    answer = json.loads(out.splitlines()[-1])
+    assert code == 1
+    assert "system 5 is heard at 127.0.0.1:" in err
     assert "system 5 is heard at" in answer["problems"][0]
     assert yaml.safe_load(answer["block"])["vehicles"] is None
 
@@ -165,16 +158,16 @@ def test_nobody_there_is_said_with_what_is_wrong_with_the_link(
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))
         url = f"tcpout://127.0.0.1:{closed.getsockname()[1]}"
-        assert _run(["vehicles", url, "--seconds", "0.5"], monkeypatch) == 1
-        captured = capsys.readouterr()
-        assert _run(["vehicles", url, "--seconds", "0.5", "--json"], monkeypatch) == 1
-        (line,) = capsys.readouterr().out.splitlines()
+        code, out, err = gs(["vehicles", url, "--seconds", "0.5"], monkeypatch, capsys)
+        json_code, json_out, _ = gs(["vehicles", url, "--seconds", "0.5", "--json"], monkeypatch, capsys)
+    assert code == json_code == 1
+    (line,) = json_out.splitlines()
     answer = json.loads(line)
     assert (answer["vehicles"], answer["exit_code"]) == ([], 1)
     assert "cannot connect: Connection refused" in answer["problems"][0]
     assert answer["error"].startswith("no vehicle was heard in 0.5 s")
-    assert "cannot connect: Connection refused" in captured.out
-    assert "no vehicle was heard in 0.5 s" in captured.err
+    assert "cannot connect: Connection refused" in out
+    assert "no vehicle was heard in 0.5 s" in err
 
 
 def test_one_of_several_links_that_does_not_work_is_a_failure_with_the_others_found(
@@ -184,10 +177,10 @@ def test_one_of_several_links_that_does_not_work_is_a_failure_with_the_others_fo
         closed.bind(("127.0.0.1", 0))
         dead = f"tcpout://127.0.0.1:{closed.getsockname()[1]}"
         urls = [f"tcpout://127.0.0.1:{served}", dead]
-        assert _run(["vehicles", *urls, "--seconds", "3", "--json"], monkeypatch) == 1
-    captured = capsys.readouterr()
-    (line,) = captured.out.splitlines()
+        code, out, err = gs(["vehicles", *urls, "--seconds", "3", "--json"], monkeypatch, capsys)
+    assert code == 1
+    (line,) = out.splitlines()
     answer = json.loads(line)
     assert [vehicle["id"] for vehicle in answer["vehicles"]] == [5]
     assert answer["error"].startswith(f"link {dead}: ")
-    assert f"gs: link {dead}: " in captured.err
+    assert f"gs: link {dead}: " in err

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
-from groundstation.app import cli
 from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.vary import load_vary
 from groundstation.app.emulator import world_config
 from groundstation.core.errors import UserError
+from tests.app.commands import gs
 from tests.app.flights import CUBE8, cube8
 
 
@@ -59,11 +58,9 @@ def test_profiles_are_found_in_their_flights(
     tolerance_s: float,
 ) -> None:
     log = _flown(tmp_path, profile, "arducopter" if profile == "arducopter" else "px4")
-    monkeypatch.setattr(sys, "argv", ["gs", "identify", str(log), "--json"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert not ended.value.code
-    values = json.loads(capsys.readouterr().out.splitlines()[-1])
+    code, out, _ = gs(["identify", str(log), "--json"], monkeypatch, capsys)
+    assert code == 0
+    values = json.loads(out.splitlines()[-1])
     assert values["identified"] >= 3
     for vehicle in values["vehicles"]:
         if vehicle["t63_s"] is not None:
@@ -80,11 +77,9 @@ def test_a_log_in_which_nothing_moves_is_refused_with_the_reason(
     vary.write_text("limit_s: 5.5\nsettle_s: 0\n", encoding="utf-8")
     log = tmp_path / "short.tlog"
     fly_case(Cases(CUBE8, load_vary(vary), 4).case(0), log)
-    monkeypatch.setattr(sys, "argv", ["gs", "identify", str(log)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 1
-    assert "no vehicle could be identified" in capsys.readouterr().err.replace("\n", " ")
+    code, _, err = gs(["identify", str(log)], monkeypatch, capsys)
+    assert code == 1
+    assert "no vehicle could be identified" in err.replace("\n", " ")
 
 
 def test_a_mission_takes_identified_values() -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.app.cli import main
 from groundstation.app.verify import verify_log
+from tests.app.commands import gs
 
 
 def _free_port() -> int:
@@ -32,12 +32,11 @@ def test_a_mission_flies_over_mavsdk(
         vehicle = f"vehicles.{number}"
         changes += [f"{vehicle}.link={url}", f"{vehicle}.profile=crazyflie", f"{vehicle}.origin=pad"]
         changes += [f"{vehicle}.pad_m=[{x}, 0, 0]"]
-    arguments = ["gs", "fly", "--mission", "first_flight2.yaml", "--dry-run", "--udp", "--json", "--log", str(log)]
-    monkeypatch.setattr("sys.argv", arguments + [word for change in changes for word in ("--set", change)])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert not end.value.code
-    output = capfd.readouterr().out.splitlines()
+    arguments = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--udp", "--json", "--log", str(log)]
+    arguments += [word for change in changes for word in ("--set", change)]
+    code, out, _ = gs(arguments, monkeypatch, capfd)
+    assert code == 0
+    output = out.splitlines()
     assert len(output) == 1  # MAVSDK's own messages do not get between
     answer = json.loads(output[0])
     assert (answer["outcome"], answer["reason"]) == ("completed", "")

@@ -19,7 +19,7 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.mission.state import Note
 from sitl.world import World
-from tests.app.flights import SECOND_NS, Flight, Tamper, cube8, pair
+from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, pair
 
 PERIOD_NS = 20_000_000
 copyreg.pickle(struct.Struct, lambda shape: (struct.Struct, (shape.format,)))  # so that flights can be copied
@@ -128,18 +128,6 @@ def _says(*lines: tuple[Callable[[Flight], bool], str]) -> Callable[[Flight], bo
     return look
 
 
-def _in(phase: Phase, for_s: float = 0.1) -> Callable[[Flight], bool]:
-    """When the team has been in a phase for a while."""
-    since: list[int] = []
-
-    def reached(flight: Flight) -> bool:
-        if flight.runner.phase is phase and not since:
-            since.append(flight.now_ns)
-        return bool(since) and flight.now_ns - since[0] >= for_s * SECOND_NS
-
-    return reached
-
-
 def _safe(flight: Flight) -> None:
     truth = flight.world.truth
     assert not truth.armed.any()
@@ -172,7 +160,7 @@ def test_a_hold_stands_still_pauses_the_clock_of_the_step_and_goes_on_where_it_w
 
     limits = ("takeoff.timeout_s=12", "steps.0.form.timeout_s=20", "land.timeout_s=14")
     plan = cube8(*limits) if name == "cube8" else pair(*limits)
-    says = _says((_in(phase, 4.0 if phase is Phase.TAKEOFF else 0.3), "hold"), (_in(Phase.PAUSE, 15.0), "resume"))
+    says = _says((after(phase, 4.0 if phase is Phase.TAKEOFF else 0.3), "hold"), (after(Phase.PAUSE, 15.0), "resume"))
     flight = Watched(plan, seed=2, log=log, interrupt_when=says)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     _safe(flight)
@@ -189,17 +177,17 @@ def test_a_hold_that_nobody_ends_is_ended_by_the_battery_and_by_its_own_limit() 
     def drain(world: World) -> None:
         world.autopilots[1].battery.extra_per_s = 0.02
 
-    flight = Flight(pair(), prepare=drain, interrupt_when=_says((_in(Phase.FORM), "hold")))
+    flight = Flight(pair(), prepare=drain, interrupt_when=_says((after(Phase.FORM), "hold")))
     assert flight.runner.outcome == "aborted"
     assert flight.runner.reason.startswith("vehicle 2: battery at ")
     _safe(flight)
-    held = Flight(pair("limits.hold_s=4"), interrupt_when=_says((_in(Phase.FORM), "hold")))
+    held = Flight(pair("limits.hold_s=4"), interrupt_when=_says((after(Phase.FORM), "hold")))
     assert held.runner.reason == "held for 4 s, which is the limit; the hold is over, everybody comes back"
     _safe(held)
 
 
 def test_nothing_is_held_on_a_low_battery() -> None:
-    hold = _says((_in(Phase.RETURN, 0.5), "hold"))
+    hold = _says((after(Phase.RETURN, 0.5), "hold"))
 
     def look(flight: Flight) -> bool:
         if flight.runner.phase is Phase.HOLD:
@@ -217,7 +205,7 @@ def test_land_all_from_the_cube_comes_down_in_place_and_whoever_has_somebody_bel
     seed: int, tmp_path: Path
 ) -> None:
     log = tmp_path / "flight.tlog"
-    flight = Flight(cube8(), seed=seed, log=log, interrupt_when=_says((_in(Phase.HOLD), "land all")))
+    flight = Flight(cube8(), seed=seed, log=log, interrupt_when=_says((after(Phase.HOLD), "land all")))
     assert (flight.runner.outcome, flight.runner.reason) == ("aborted", "landed by the operator")
     _safe(flight)
     assert Phase.RETURN not in flight.phase_seen
@@ -233,9 +221,9 @@ def test_land_all_from_the_cube_comes_down_in_place_and_whoever_has_somebody_bel
 @pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.STOP, Phase.PAUSE, Phase.RETURN])
 def test_land_all_lands_from_other_phases_too(phase: Phase, autopilots: tuple[str, str]) -> None:
     before = {Phase.STOP: "return", Phase.PAUSE: "hold"}
-    first = [(_in(Phase.FORM), before[phase])] if phase in before else []
+    first = [(after(Phase.FORM), before[phase])] if phase in before else []
     flight = Flight(
-        pair(autopilots=autopilots), interrupt_when=_says(*first, (_in(phase, 0.3), "land all")), limit_s=120
+        pair(autopilots=autopilots), interrupt_when=_says(*first, (after(phase, 0.3), "land all")), limit_s=120
     )
     assert "landed by the operator" in flight.runner.reason
     _safe(flight)
@@ -246,7 +234,7 @@ def test_land_all_lands_from_other_phases_too(phase: Phase, autopilots: tuple[st
 @pytest.mark.parametrize("vehicle", [4])
 def test_land_one_brings_it_down_where_it_is_and_nobody_is_hit(vehicle: int, tmp_path: Path) -> None:
     log = tmp_path / "flight.tlog"
-    flight = Flight(cube8(), log=log, interrupt_when=_says((_in(Phase.HOLD), f"land {vehicle}")))
+    flight = Flight(cube8(), log=log, interrupt_when=_says((after(Phase.HOLD), f"land {vehicle}")))
     assert flight.runner.reason == f"vehicle {vehicle}: landed by the operator"
     _safe(flight)
     off_pad = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - flight.plan.pads_enu_m[:, :2], axis=1)
@@ -292,7 +280,7 @@ def test_kill_all_gets_through_a_link_that_loses_half_of_everything(phase: Phase
     def lose(datagram: object, _flight: Flight) -> list[object]:
         return [] if told and rng.random() < 0.5 else [datagram]
 
-    lines = _says(*([(_in(Phase.HOLD), "silence")] if phase is Phase.SILENT else []), (_in(phase), "kill all"))
+    lines = _says(*([(after(Phase.HOLD), "silence")] if phase is Phase.SILENT else []), (after(phase), "kill all"))
 
     def look(flight: Flight) -> bool:
         lines(flight)
@@ -311,7 +299,9 @@ def test_kill_all_gets_through_a_link_that_loses_half_of_everything(phase: Phase
 def test_a_released_vehicle_is_not_landed_but_can_be_killed() -> None:
     flight = Flight(
         pair(),
-        interrupt_when=_says((_in(Phase.HOLD), "kill 1"), (_in(Phase.RETURN), "land 1"), (_in(Phase.RETURN), "kill 1")),
+        interrupt_when=_says(
+            (after(Phase.HOLD), "kill 1"), (after(Phase.RETURN), "land 1"), (after(Phase.RETURN), "kill 1")
+        ),
     )
     assert "operator: vehicle 1 is released and not ours to land" in flight.texts("alarm")
     assert not flight.world.truth.armed.any()
@@ -323,7 +313,7 @@ def test_what_is_not_understood_is_said_and_changes_nothing(tmp_path: Path) -> N
     said: list[int] = []
 
     def look(flight: Flight) -> bool:
-        if _in(Phase.FORM, 0.0)(flight) and not said:
+        if flight.runner.phase is Phase.FORM and not said:
             said.append(flight.now_ns)
             with pytest.raises(ValueError, match="operator command 'dance' is none of hold"):
                 flight.session.operator("dance", flight.now_ns)

@@ -13,11 +13,12 @@ from typing import Any
 
 import pytest
 
-from groundstation.app import cli, order_socket
+from groundstation.app import order_socket
 from groundstation.app.order_socket import LINE_MAX, OrderSocket, flights, prepare_folder, runtime_folder
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
 from groundstation.mission.runner import Runner
+from tests.app.commands import gs
 from tests.app.flights import pair
 
 TICK_NS = 20_000_000
@@ -212,18 +213,6 @@ def test_the_folder_is_the_users_own(tmp_path: Path) -> None:
 # gs command
 
 
-def _gs(
-    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["gs", *arguments])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as ended:
-        code = int(ended.code or 0)
-    return code, *capsys.readouterr()
-
-
 class Answering:
     """Stands in for the flights of a machine; those with ``!`` are suspended, and known by their process alone."""
 
@@ -286,7 +275,7 @@ def test_gs_command(  # noqa: PLR0917 - a row of the table above
     monkeypatch.setattr(command, "flights", answering.flights)
     monkeypatch.setattr(command, "ask", answering.ask)
     monkeypatch.setattr(sys, "stdin", open(os.devnull))  # noqa: SIM115 - nobody can be asked
-    got, out, err = _gs(["command", *arguments, "--json"], monkeypatch, capsys)
+    got, out, err = gs(["command", *arguments, "--json"], monkeypatch, capsys)
     assert (got, answering.orders) == (code, orders)
     assert words in err
     assert "Traceback" not in err

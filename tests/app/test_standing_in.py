@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import io
+import itertools
 import os
 import signal
 import threading
@@ -16,7 +17,7 @@ from rich.console import Console
 from rich.text import Text
 
 import groundstation
-from groundstation.app.loop import FlightClock, Interrupts, Waiting, fly_real
+from groundstation.app.loop import FlightClock, Interrupts, Waiting, fly_real, talk
 from groundstation.app.progress import FlightDisplay, Screen
 from groundstation.app.session import Session
 from groundstation.mavlink.station import Outgoing
@@ -129,6 +130,7 @@ class OneLink:
     def __init__(self, session: Recording) -> None:
         self._session = session
         self._old = [[("a:1", b"old")] * 3, [("a:1", b"old")] * 2]
+        self.sent: list[tuple[str, bytes]] = []
 
     def sources(self) -> tuple[int, ...]:
         return ()
@@ -143,7 +145,7 @@ class OneLink:
         return self._old.pop() if self._old else []
 
     def send(self, peer: str, data: bytes) -> None:
-        pass
+        self.sent.append((peer, data))
 
     def close(self) -> None:
         pass
@@ -159,6 +161,36 @@ def test_after_standing_still_what_is_old_is_taken_in_before_anybody_is_judged(m
     assert session.ticks[gap] - session.ticks[gap - 1] > 3 * SECOND_NS + 100_000_000
     assert session.delivered == [b"old"] * 5
     assert any("stood still for 3.0 s" in note.text for note in session.notes)
+
+
+@pytest.mark.parametrize(("end", "ticks"), [("time", 10), ("done", 3), ("interrupt", 4)])
+def test_who_only_talks_passes_on_what_comes_and_ends_in_time_when_done_or_by_ctrl_c(
+    end: str, ticks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Waiting, "wait", lambda _self, _timeout_s: [0])
+    link, interrupts = OneLink(Recording()), Interrupts()
+    taken: list[tuple[int, str, bytes]] = []
+    times_ns: list[int] = []
+
+    def outgoing(now_ns: int) -> list[Outgoing]:
+        times_ns.append(now_ns)
+        if end == "interrupt" and len(times_ns) == ticks:
+            interrupts.interrupt()
+        return [Outgoing(0, "a:1", (b"one", b"two"))]
+
+    ended_ns = talk(
+        [link],
+        StoppedClock(0, 0),
+        1.0,
+        receive=lambda number, peer, data, _now_ns: taken.append((number, peer, data)),
+        outgoing=outgoing,
+        interrupts=interrupts,
+        done=lambda: end == "done" and len(times_ns) == ticks,
+    )
+    assert taken == [(0, "a:1", b"old")] * 5
+    assert link.sent == [("a:1", b"onetwo")] * ticks
+    assert all(after - before >= 100_000_000 for before, after in itertools.pairwise(times_ns))
+    assert ended_ns >= SECOND_NS if end == "time" else ended_ns == times_ns[-1]
 
 
 def _interrupted(interrupts: Interrupts, number: int) -> Recording:

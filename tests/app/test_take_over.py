@@ -16,7 +16,7 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from sitl.px4 import POSCTL
 from sitl.world import Outgoing, World
-from tests.app.flights import SECOND_NS, Flight, cube8, mission, pair
+from tests.app.flights import SECOND_NS, Flight, cube8, mission, pair, still_in
 
 SETPOINT = message_id("SET_POSITION_TARGET_LOCAL_NED")
 DO_SET_MODE = 176
@@ -49,18 +49,6 @@ def _left_in_the_air(
     for _ in range(round(idle_s * 50)):
         world.advance(world.now_ns + SECOND_NS // 50)
     return world
-
-
-def _in(phase: Phase, for_s: float = 0.0) -> Callable[[Flight], bool]:
-    since: list[int] = []
-
-    def there(flight: Flight) -> bool:
-        if flight.runner.phase is not phase:
-            return False
-        since.append(flight.now_ns)
-        return flight.now_ns - since[0] >= for_s * SECOND_NS
-
-    return there
 
 
 def _holds(world: World) -> None:
@@ -120,7 +108,7 @@ def _vehicles(count: int) -> str:
     ("phase", "for_s"), [(Phase.TAKEOFF, 1.8), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.0)]
 )
 def test_a_team_that_was_left_is_brought_home_from_every_phase(phase: Phase, for_s: float, tmp_path: Path) -> None:
-    world = _left_in_the_air(_four(), _in(phase, for_s), prepare=_holds)
+    world = _left_in_the_air(_four(), still_in(phase, for_s), prepare=_holds)
     assert world.truth.airborne.all()
     log = tmp_path / "flight.tlog"
     flight = Flight(_four(), world=world, take_over=True, log=log)
@@ -133,7 +121,7 @@ def test_a_team_that_was_left_is_brought_home_from_every_phase(phase: Phase, for
 
 
 def test_eight_are_brought_home_out_of_a_cube() -> None:
-    world = _left_in_the_air(cube8(), _in(Phase.HOLD, 1.0), prepare=_holds)
+    world = _left_in_the_air(cube8(), still_in(Phase.HOLD, 1.0), prepare=_holds)
     flight = Flight(cube8(), world=world, take_over=True)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     _assert_home(flight)
@@ -151,7 +139,7 @@ def test_setpoints_to_stand_still_come_before_the_mode_is_asked_for() -> None:
                 sent.extend("mode" for batch in decode(frames) if _asks_for_mode(batch))
             super().receive(vehicle_index, data, now_ns)
 
-    world = _left_in_the_air(pair(autopilots=("px4", "px4")), _in(Phase.HOLD), prepare=_land_modes)
+    world = _left_in_the_air(pair(autopilots=("px4", "px4")), still_in(Phase.HOLD), prepare=_land_modes)
     flight = Listening(pair(autopilots=("px4", "px4")), world=world, take_over=True)
     assert flight.runner.outcome == "completed"
     assert "mode" in sent
@@ -165,7 +153,7 @@ def test_a_vehicle_that_its_failsafe_has_landed_stays_where_it_is_and_the_others
         _holds(world)
         world.autopilots[2].params.set_value("COM_OBL_RC_ACT", 4)
 
-    world = _left_in_the_air(plan, _in(Phase.FORM, 2.0), idle_s=9.0, prepare=one_lands)
+    world = _left_in_the_air(plan, still_in(Phase.FORM, 2.0), idle_s=9.0, prepare=one_lands)
     assert world.truth.airborne.tolist() == [True, True, False, True]
     place = world.truth.pos_enu_m[2].copy()
     flight = Flight(plan, world=world, take_over=True)
@@ -179,7 +167,7 @@ def test_one_that_nobody_hears_is_named_and_the_others_come_home() -> None:
     def mute(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
         return [] if datagram.vehicle_index == 1 else [datagram]
 
-    world = _left_in_the_air(_four(), _in(Phase.HOLD, 1.0), prepare=_holds)
+    world = _left_in_the_air(_four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
     flight = Flight(_four(), world=world, take_over=True, tamper=mute)
     assert flight.runner.outcome == "aborted"
     assert "vehicle 2: not heard, where it is is not known" in flight.runner.reason
@@ -190,7 +178,7 @@ def test_one_that_nobody_hears_is_named_and_the_others_come_home() -> None:
 
 def test_a_vehicle_that_a_pilot_flies_is_not_touched() -> None:
     plan = _four()
-    world = _left_in_the_air(plan, _in(Phase.HOLD, 1.0), prepare=_holds)
+    world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_holds)
     world.autopilots[3].intention, world.autopilots[3].failsafe = POSCTL, None  # type: ignore[attr-defined]
     before = flight_modes(world)
     flight = Flight(plan, world=world, take_over=True)
@@ -237,7 +225,7 @@ def test_nothing_is_taken_over_where_everybody_stands_on_the_ground() -> None:
 
 def test_one_that_did_not_take_off_from_its_pad_is_left_to_its_failsafe() -> None:
     moved = _four("vehicles.0.pad_m=[-1.0, -1.0, 0.0]")
-    world = _left_in_the_air(_four(), _in(Phase.HOLD, 1.0), prepare=_holds)
+    world = _left_in_the_air(_four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
     for pilot in world.autopilots[:1]:
         world.home_enu_m[:, pilot.index] += np.array([0.0, 0.8, 0.0])
     flight = Flight(moved, world=world, take_over=True)
@@ -249,7 +237,7 @@ def test_one_that_did_not_take_off_from_its_pad_is_left_to_its_failsafe() -> Non
 @pytest.mark.parametrize("name", ["px4_cube8", "mixed8"])
 def test_teams_that_fly_by_gps_find_their_frame_again_in_the_air(name: str, tmp_path: Path) -> None:
     plan = mission(name)
-    world = _left_in_the_air(plan, _in(Phase.TAKEOFF, 3.0), idle_s=4.0, prepare=_holds)
+    world = _left_in_the_air(plan, still_in(Phase.TAKEOFF, 3.0), idle_s=4.0, prepare=_holds)
     log = tmp_path / "flight.tlog"
     flight = Flight(plan, world=world, take_over=True, log=log)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")

@@ -12,9 +12,9 @@ from groundstation.mission.blame import Blame
 from groundstation.mission.runner import Phase
 from sitl.faults import Fault
 from sitl.world import Outgoing
-from tests.app.flights import SECOND_NS, Flight, pair
+from tests.app.flights import SECOND_NS, Flight, pair, still_in
 from tests.app.test_preflight import PARAM_SET, Checked, _defaults, _without
-from tests.app.test_take_over import _holds, _in, _left_in_the_air
+from tests.app.test_take_over import _holds, _left_in_the_air
 
 REMEDY = "take it over (gs fly --take-over) or fly it down"
 LANDED = message_id("EXTENDED_SYS_STATE")
@@ -24,7 +24,7 @@ LANDED = message_id("EXTENDED_SYS_STATE")
 
 
 def test_a_team_in_the_air_is_never_told_to_be_disarmed() -> None:
-    world = _left_in_the_air(pair(), _in(Phase.HOLD, 0.5), prepare=_holds)
+    world = _left_in_the_air(pair(), still_in(Phase.HOLD, 0.5), prepare=_holds)
     flight = Flight(pair(), world=world)
     assert flight.runner.outcome == "refused"
     one, two = flight.runner.reason.split("; vehicle ")
@@ -38,7 +38,7 @@ def test_a_team_in_the_air_is_never_told_to_be_disarmed() -> None:
 
 
 def test_one_that_does_not_tell_whether_it_flies_is_taken_for_one_that_does() -> None:
-    world = _left_in_the_air(pair(), _in(Phase.HOLD, 0.5), prepare=_holds)
+    world = _left_in_the_air(pair(), still_in(Phase.HOLD, 0.5), prepare=_holds)
     flight = Flight(pair(), world=world, tamper=_without(LANDED))
     assert "vehicle 1: is armed, in AUTO.LOITER, and may be in the air; take it over" in flight.runner.reason
     assert "disarm" not in flight.runner.reason

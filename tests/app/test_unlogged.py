@@ -18,8 +18,8 @@ from groundstation.mission.runner import Phase, Runner
 from groundstation.records import tlog
 from groundstation.records.tlog import TlogWriter
 from sitl.world import World
+from tests.app.commands import gs
 from tests.app.flights import pair
-from tests.app.test_cli import _gs
 
 
 class FillingDisk(io.BytesIO):
@@ -97,7 +97,7 @@ def test_the_command_says_that_nothing_was_armed_and_that_the_log_is_not_complet
     disk.full = True
     monkeypatch.setattr(tlog, "_create", lambda path: path.touch() or disk)
     arguments = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--log", str(tmp_path / "a.tlog"), "--json"]
-    code, out, err = _gs(arguments, monkeypatch, capsys)
+    code, out, err = gs(arguments, monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
     assert (code, values["outcome"], values["setpoints"], values["log_complete"]) == (3, "aborted", 0, False)
     assert "No space left on device; nobody takes off without a log, make room" in values["reason"]

@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from groundstation.mission.runner import Phase
 from sitl.params import px4_params
-from tests.app.flights import SECOND_NS, Flight, cube8, mission, pair
+from tests.app.flights import Flight, after, cube8, mission, pair
 from tests.app.vanishing import Vanished
-
-
-def _after(phase: Phase, seconds: float) -> Callable[[Flight], bool]:
-    """That long after a phase was seen first."""
-    begun: list[int] = []
-
-    def look(flight: Flight) -> bool:
-        if flight.runner.phase is phase and not begun:
-            begun.append(flight.now_ns)
-        return bool(begun) and flight.now_ns - begun[0] >= seconds * SECOND_NS
-
-    return look
 
 
 def _assert_safe(vanished: Vanished) -> None:
@@ -37,14 +23,14 @@ def _assert_safe(vanished: Vanished) -> None:
     ("phase", "seconds"), [(Phase.TAKEOFF, 1.5), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.5)]
 )
 def test_a_cube_of_two_layers_comes_home_one_by_one(phase: Phase, seconds: float) -> None:
-    vanished = Vanished(cube8(), _after(phase, seconds))
+    vanished = Vanished(cube8(), after(phase, seconds))
     _assert_safe(vanished)
     assert all(modes[:3] == ["OFFBOARD", "AUTO.LOITER", "AUTO.RTL"] for modes in vanished.modes)
     assert vanished.held_m < 0.05
 
 
 def test_both_autopilots_in_one_cube_come_home_one_by_one() -> None:
-    vanished = Vanished(mission("mixed8"), _after(Phase.HOLD, 1.0))
+    vanished = Vanished(mission("mixed8"), after(Phase.HOLD, 1.0))
     _assert_safe(vanished)
     assert [modes[0] for modes in vanished.modes] == ["OFFBOARD"] * 4 + ["GUIDED"] * 4
     assert all("AUTO.RTL" in modes or modes[-1] == "RTL" for modes in vanished.modes)
@@ -52,7 +38,7 @@ def test_both_autopilots_in_one_cube_come_home_one_by_one() -> None:
 
 @pytest.mark.parametrize("autopilots", [("px4", "px4"), ("arducopter", "arducopter")])
 def test_two_that_are_never_above_each_other_land_where_they_are(autopilots: tuple[str, str]) -> None:
-    vanished = Vanished(pair(autopilots=autopilots), _after(Phase.HOLD, 1.0))
+    vanished = Vanished(pair(autopilots=autopilots), after(Phase.HOLD, 1.0))
     assert vanished.flight.runner.failsafe.action == "land"
     assert vanished.min_distance_m >= vanished.flight.plan.spec.avoidance.radius_m
     assert vanished.down_s <= vanished.flight.runner.failsafe.down_s
@@ -60,7 +46,7 @@ def test_two_that_are_never_above_each_other_land_where_they_are(autopilots: tup
 
 def test_with_the_firmwares_own_parameters_the_upper_half_lands_on_the_lower_half() -> None:
     """What preflight refuses: it shows that the measure can fail."""
-    hold = _after(Phase.HOLD, 2.0)
+    hold = after(Phase.HOLD, 2.0)
 
     def careless(flight: Flight) -> bool:
         if not hold(flight):
@@ -73,7 +59,7 @@ def test_with_the_firmwares_own_parameters_the_upper_half_lands_on_the_lower_hal
 
 
 def test_without_room_above_the_team_holds_and_says_so() -> None:
-    vanished = Vanished(cube8("failsafe.ceiling_m=3"), _after(Phase.HOLD, 2.0), watch_s=60.0)
+    vanished = Vanished(cube8("failsafe.ceiling_m=3"), after(Phase.HOLD, 2.0), watch_s=60.0)
     runner = vanished.flight.runner
     assert runner.failsafe.action == "hold"
     (told,) = [text for text in vanished.flight.texts("info") if text.startswith("when the ground station is gone")]

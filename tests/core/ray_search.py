@@ -1,7 +1,8 @@
-"""A judge for Algorithm 2 around upright regions: searches directions, and walks along rays instead of solving them."""
+"""A judge for Algorithm 2: searches directions, and around upright regions walks along rays instead of solving them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,23 +91,36 @@ class Shape:
         return np.asarray(np.where(flat < 1e-12, vertical, beside))
 
 
-def best_by_search(shape: Shape, wanted: FloatArray, offset: FloatArray, spread: FloatArray) -> float:
-    """Smallest rotation to a free direction among many, the best ones searched around again and again."""
+def best_by_search(
+    free: Callable[[FloatArray], BoolArray], wanted: FloatArray, spread: FloatArray, *, kept: int, tried: int
+) -> float:
+    """Smallest rotation to a free direction among many, the best ones searched around again and again.
+
+    Args:
+        free: which of the directions (k, 3) are free: shape (k,).
+        wanted: unit vector, shape (3,).
+        spread: unit vectors all around, shape (m, 3), m at least ``tried``.
+        kept: how many of the best are searched around.
+        tried: about how many directions around each.
+
+    Returns:
+        Angle in radians; inf where no direction is free.
+    """
 
     def free_angles(directions: FloatArray) -> FloatArray:
         angle = np.arctan2(np.linalg.norm(np.cross(directions, wanted), axis=1), directions @ wanted)
-        return np.where(shape.free(directions, offset), angle, np.inf)
+        return np.where(free(directions), angle, np.inf)
 
     directions = np.concatenate([wanted[None], spread])
     angles = free_angles(directions)
     best = float(angles.min())
     if not 0.0 < best < np.inf:
         return best
-    around = directions[np.argsort(angles)[:16]]
+    around = directions[np.argsort(angles)[:kept]]
     for size in (0.06, 0.02, 0.006, 0.002, 0.0006):
-        tried = (around[:, None] + size * spread[:: len(spread) // 80]).reshape(-1, 3)
-        tried = np.concatenate([around, tried / np.linalg.norm(tried, axis=1, keepdims=True)])
-        angles = free_angles(tried)
-        around = tried[np.argsort(angles)[:16]]
+        near = (around[:, None] + size * spread[:: len(spread) // tried]).reshape(-1, 3)
+        near = np.concatenate([around, near / np.linalg.norm(near, axis=1, keepdims=True)])
+        angles = free_angles(near)
+        around = near[np.argsort(angles)[:kept]]
         best = min(best, float(angles.min()))
     return best

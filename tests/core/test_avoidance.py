@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from hypothesis import strategies as st
 
 from groundstation.core.avoidance import avoid
 from groundstation.core.regions import SafetySphere
-from groundstation.core.types import FloatArray
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews
 from tests.core.lag_team import KINEMATIC, Chain, cube, cube_gains, fly, random_start
+from tests.core.ray_search import best_by_search, fibonacci_sphere
 from tests.core.strategies import Team, teams
 
 SPHERE = SafetySphere(0.45, 0.5)
@@ -146,35 +148,9 @@ def test_what_is_not_finite_is_refused() -> None:
         avoid(views_of([1.0, 0, 0]), np.array([[np.nan, 0, 0]]), SPHERE)
 
 
-def fibonacci_sphere(count: int) -> FloatArray:
-    """Evenly spread unit vectors."""
-    k = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * k / count
-    azimuth = np.pi * (1.0 + np.sqrt(5.0)) * k
-    ring = np.sqrt(1.0 - z * z)
-    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
-
-
-def best_by_search(wanted: FloatArray, rel: FloatArray, radius: float, spread: FloatArray) -> float:
-    """Smallest rotation to a free direction among many, the best ones searched around again and again."""
-
-    def free_angles(directions: FloatArray) -> FloatArray:
-        free = (angles_to_rims(directions, rel, radius) >= 0.0).all(axis=1)
-        return np.where(free, np.arccos(np.clip(directions @ wanted, -1, 1)), np.inf)
-
-    directions = np.concatenate([wanted[None], spread])
-    angles = free_angles(directions)
-    best = float(angles.min())
-    if not 0.0 < best < np.inf:
-        return best
-    around = directions[np.argsort(angles)[:20]]
-    for size in (0.06, 0.02, 0.006, 0.002, 0.0006):
-        tried = (around[:, None] + size * spread[:: len(spread) // 100]).reshape(-1, 3)
-        tried = np.concatenate([around, tried / np.linalg.norm(tried, axis=1, keepdims=True)])
-        angles = free_angles(tried)
-        around = tried[np.argsort(angles)[:20]]
-        best = min(best, float(angles.min()))
-    return best
+def free(direction: FloatArray, rel: FloatArray, radius: float) -> BoolArray:
+    """Whether directions (k, 3) are outside the regions of all others (n, 3): shape (k,)."""
+    return np.asarray((angles_to_rims(direction, rel, radius) >= 0.0).all(axis=1), dtype=np.bool_)
 
 
 def test_never_enters_and_never_turns_more_than_a_search_finds() -> None:
@@ -193,7 +169,7 @@ def test_never_enters_and_never_turns_more_than_a_search_finds() -> None:
     for i in range(cases):
         others = rel[i, seen[i]]
         unit = wanted[i] / np.linalg.norm(wanted[i])
-        found = best_by_search(unit, others, radius, spread)
+        found = best_by_search(partial(free, rel=others, radius=radius), unit, spread, kept=20, tried=100)
         if result.blocked[i]:
             assert not result.vel_flu_m_s[i].any()
             assert found >= np.pi / 2 - 1e-3, i

@@ -31,7 +31,7 @@ from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, m
 from groundstation.mavlink.gate import Gate, Refused, SignedLink
 from groundstation.mavlink.keys import new_key, read_key, read_times
 from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at
-from groundstation.mission import plan
+from groundstation.mission.overrides import override_value
 from groundstation.mission.plan import load_mission
 from groundstation.mission.runner import Runner
 from groundstation.mission.schema import MissionSpec
@@ -345,7 +345,7 @@ class CommandLine(Target):
         text = data[:200].decode(errors="replace")
         values = deepcopy(self._values)
         for use in (
-            lambda: plan._override(values, text),
+            lambda: override_value(values, text),
             lambda: validate(MissionSpec, values, "typed"),
             lambda: parse_address(text),
             lambda: find_config(Path(text * 20), "missions"),

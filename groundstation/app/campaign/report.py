@@ -15,25 +15,18 @@ import numpy as np
 
 from groundstation.app.campaign.run import Row
 from groundstation.app.output import to_json
+from groundstation.app.picture_style import BLUE, GREEN, ORANGE, RED, SERIES, STYLE, html_page
 from groundstation.core.errors import UserError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_INK, _BLUE, _ORANGE, _RED, _LINE = "#22272e", "#0072B2", "#E69F00", "#B2182B", "#d5d9de"
-_STYLE: dict[Any, Any] = {
-    "font.size": 12.0,
-    "axes.edgecolor": "#8a929b",
-    "axes.labelcolor": _INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e8eaed",
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-}
+_CSS = """
+body { font-size: 15px; max-width: 1300px; }
+h1 { font-size: 1.7rem; } h2 { font-size: 1.2rem; margin: 2rem 0 0.3rem; } img { max-width: 100%; }
+.wide { overflow-x: auto; }
+th, td { padding: 0.25rem 1rem 0.25rem 0; vertical-align: top; } code { font-size: 0.85em; }
+"""
 _GROUPS_MAX = 24
 _CELLS_MAX = 40
 _PHASES = ("ground", "takeoff", "form", "hold", "return", "land")
@@ -125,10 +118,10 @@ def _text(cell: Mapping[str, Any], key: str) -> str:
 
 
 def _page(title: str, values: Mapping[str, Any], pictures: Sequence[tuple[str, str]]) -> str:
-    head, *body = lines(values)
+    head, *rows = lines(values)
     faults = fault_lines(values)
     table = "<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"
-    table += "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in body)
+    table += "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     struck = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in faults)
     struck = (
         f'<h2>Faults: safe and told, of all runs</h2><div class="wide"><table>{struck}</table></div>' if faults else ""
@@ -140,19 +133,7 @@ def _page(title: str, values: Mapping[str, Any], pictures: Sequence[tuple[str, s
     images = "".join(
         f'<h2>{html.escape(words)}</h2><img src="{file}" alt="{html.escape(words)}">' for file, words in pictures
     )
-    return f"""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(title)}</title>
-<style>
-body {{ font: 15px/1.5 system-ui, sans-serif; color: {_INK}; max-width: 1300px; margin: 2rem auto; padding: 0 1rem; }}
-h1 {{ font-size: 1.7rem; }} h2 {{ font-size: 1.2rem; margin: 2rem 0 0.3rem; }} img {{ max-width: 100%; height: auto; }}
-.wide {{ overflow-x: auto; }} table {{ border-collapse: collapse; }}
-th, td {{ text-align: left; padding: 0.25rem 1rem 0.25rem 0; border-bottom: 1px solid {_LINE}; vertical-align: top; }}
-td {{ font-variant-numeric: tabular-nums; }} code {{ font-size: 0.85em; }}
-</style>
-<h1>{html.escape(title)}</h1>
+    body = f"""
 <p>Intervals are 95 % (Clopper and Pearson). Success: formed, completed, everybody down, true distance never below r.
 Safe: everybody down or in failsafe, and nobody who could keep clear came nearer than r.
 "Of kinematic" is the median of the time to form over that of points that do at once what they are told, without margin,
@@ -162,8 +143,8 @@ from the same starts.</p>
 {images}
 <h2>Worst runs</h2>
 <div class="wide"><table><tr><th>run</th><th>why</th><th>again</th></tr>{worst}</table></div>
-</html>
 """
+    return html_page(title, body, _CSS)
 
 
 def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -183,7 +164,7 @@ def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[t
         ("time_to_form.png", "Time to form", _draw_times),
         ("smallest_distance.png", "Smallest true distance against r", _draw_distances),
     ):
-        with mpl.rc_context(_STYLE):
+        with mpl.rc_context(STYLE):
             tall = file == "success.png"
             height = 1.6 + 0.42 * (min(len(groups), _CELLS_MAX) + 1) if tall else 5.2
             figure = Figure(figsize=(11.0, max(height, 3.0)), dpi=100, layout="constrained")
@@ -200,7 +181,7 @@ def _draw_rates(axes: Axes, groups: Sequence[tuple[list[Row], str]], values: Map
         cells = sorted((cell for cell in cells if cell["safe_rate"] < 1.0), key=lambda cell: float(cell["safe_rate"]))
     cells = [*cells[:_CELLS_MAX], {**values, "cell": "all"}]
     places = np.arange(len(cells))[::-1]
-    for shift, name, colour in ((0.22, "success", _BLUE), (0.0, "formed", _ORANGE), (-0.22, "safe", "#009E73")):
+    for shift, name, colour in ((0.22, "success", BLUE), (0.0, "formed", ORANGE), (-0.22, "safe", GREEN)):
         rate = np.array([cell[f"{name}_rate"] for cell in cells])
         low = np.array([cell[f"{name}_low"] for cell in cells])
         high = np.array([cell[f"{name}_high"] for cell in cells])
@@ -238,7 +219,7 @@ def _draw_distances(axes: Axes, groups: Sequence[tuple[list[Row], str]], values:
             lowest = min(lowest, float(ordered[0]))
             axes.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), where="post", lw=1.8,
                       color=_colour(number, len(groups)), label=f"{name} (least {ordered[0]:.3f})")  # fmt: skip
-    axes.axvline(1.0, color=_RED, lw=2, label="r")
+    axes.axvline(1.0, color=RED, lw=2, label="r")
     axes.set_xlabel("smallest true distance of a run, over r")
     axes.set_ylabel("share of runs")
     axes.set_ylim(0, 1.02)
@@ -257,8 +238,11 @@ def _few(groups: Sequence[tuple[list[Row], str]]) -> Sequence[tuple[list[Row], s
 def _colour(number: int, count: int) -> Any:
     import matplotlib as mpl  # noqa: PLC0415
 
-    few = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#222222", "#7B3294")
-    return few[number] if count <= len(few) else mpl.colormaps["viridis"](number / max(min(count, _GROUPS_MAX) - 1, 1))
+    return (
+        SERIES[number]
+        if count <= len(SERIES)
+        else mpl.colormaps["viridis"](number / max(min(count, _GROUPS_MAX) - 1, 1))
+    )
 
 
 def _beside(axes: Axes) -> None:

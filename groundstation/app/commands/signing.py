@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.key_setup import KeySetup
-from groundstation.app.loop import FlightClock, Interrupts, Waiting
+from groundstation.app.loop import FlightClock, Interrupts, talk
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.app.signing import read_keys
@@ -21,8 +21,6 @@ from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.keys import new_key
 from groundstation.mission.plan import MissionPlan, load_mission
-
-_TICK_NS = 100_000_000
 
 
 def signing(
@@ -74,19 +72,15 @@ def _setup(out: Output, plan: MissionPlan, seconds: float, *, in_the_clear: bool
     with ExitStack() as stack:
         links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
         stack.enter_context(interrupts.listening())
-        waiting = stack.enter_context(Waiting(links))
-        now_ns = next_tick_ns = 0
-        while now_ns < seconds * 1e9 and not interrupts.count and not setup.done:
-            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
-                for peer, data in links[number].receive():
-                    setup.receive(number, peer, data, clock.now_ns())
-            now_ns = clock.now_ns()
-            if now_ns >= next_tick_ns:
-                next_tick_ns = now_ns + _TICK_NS
-                for link in links:
-                    link.service(now_ns)
-                for sent in setup.outgoing(now_ns):
-                    links[sent.link].send(sent.peer, b"".join(sent.frames))
+        talk(
+            links,
+            clock,
+            seconds,
+            receive=setup.receive,
+            outgoing=setup.outgoing,
+            interrupts=interrupts,
+            done=lambda: setup.done,
+        )
     table = Table("vehicle", "state")
     for vehicle in setup.vehicles:
         table.add_row(str(vehicle.sysid), vehicle.state)

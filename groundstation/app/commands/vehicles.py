@@ -11,15 +11,15 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.discovery import Discovery
-from groundstation.app.loop import FlightClock, Interrupts, Waiting
+from groundstation.app.loop import FlightClock, Interrupts, talk
 from groundstation.app.output import Output
 from groundstation.app.signing import gate_of
 from groundstation.core.errors import MissionFailed
 from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import parse_address
+from groundstation.mavlink.station import Outgoing
 
 _DEFAULT = ["udpin://0.0.0.0:14540"]
-_TICK_NS = 100_000_000
 
 
 def vehicles(
@@ -45,29 +45,22 @@ def vehicles(
     with ExitStack() as stack:
         links = [stack.enter_context(closing(open_link(address.url))) for address in addresses]
         stack.enter_context(interrupts.listening())
-        waiting = stack.enter_context(Waiting(links))
         clock = FlightClock()
         gate = None
         if key is not None:
             streams = [number for number, address in enumerate(addresses) if address.is_stream]
             count = len(addresses)
             gate = gate_of([key] * count, range(count), clock.epoch_unix_us, streams=streams, keep_times=True)
-        now_ns = next_tick_ns = 0
-        while now_ns < seconds * 1e9 and not interrupts.count:
-            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
-                for peer, data in links[number].receive():
-                    for piece in (data,) if gate is None else gate.let_in(number, peer, data, clock.now_ns()):
-                        discovery.receive(number, peer, piece, clock.now_ns())
-            now_ns = clock.now_ns()
-            if now_ns >= next_tick_ns:
-                next_tick_ns = now_ns + _TICK_NS
-                for link in links:
-                    link.service(now_ns)
-                outgoing = discovery.outgoing(now_ns)
-                if gate is not None:
-                    outgoing = gate.sign(outgoing, now_ns) + gate.greetings(now_ns)
-                for sent in outgoing:
-                    links[sent.link].send(sent.peer, b"".join(sent.frames))
+
+        def receive(link: int, peer: str, data: bytes, now_ns: int) -> None:
+            for piece in (data,) if gate is None else gate.let_in(link, peer, data, now_ns):
+                discovery.receive(link, peer, piece, now_ns)
+
+        def outgoing(now_ns: int) -> list[Outgoing]:
+            sent = discovery.outgoing(now_ns)
+            return sent if gate is None else gate.sign(sent, now_ns) + gate.greetings(now_ns)
+
+        now_ns = talk(links, clock, seconds, receive=receive, outgoing=outgoing, interrupts=interrupts)
         broken = [f"link {link.url}: {link.state}" for link in links if link.state]
         troubles = broken.copy()
         if gate is not None:
