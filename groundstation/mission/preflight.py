@@ -325,6 +325,8 @@ class Preflight:
             # Any answer will do, a refusal too; otherwise one that hears again might never be asked again.
             self._probed_ns[vehicle] = now_ns
             commands.request(vehicle, self._plan.autopilots[vehicle].once("AUTOPILOT_VERSION"))
+        if self._station.fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
+            return None  # it does not talk either
         since = "any more" if commands.answered[vehicle] else f"({commands.unanswered[vehicle]} so far)"
         return (
             f"is heard, and answers no command {since}; see that its link carries both ways, that it takes commands"

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from groundstation.app.resources import packaged_configs
@@ -157,6 +157,7 @@ def test_a_pose_that_comes_back_ends_the_hold_and_is_told_again_the_next_time() 
 @given(
     jump=st.lists(st.floats(-1e30, 1e30), min_size=3, max_size=3), speed=st.floats(-1e6, 1e6), vehicle=st.integers(0, 7)
 )
+@example(jump=[0.0, 0.0, 0.0], speed=19.0, vehicle=0)  # once believed, it takes the next two positions for wrong
 def test_a_single_absurd_report_is_never_steered_by_and_changes_nothing(
     jump: list[float], speed: float, vehicle: int
 ) -> None:
@@ -171,6 +172,35 @@ def test_a_single_absurd_report_is_never_steered_by_and_changes_nothing(
     scene.pos, scene.vel = good, np.zeros((8, 3))
     assert scene.run(2.0) == []
     assert not scene.monitor.hold.any()
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.0, "its position is "), (1.0, "its position is "), (0.5, "its velocity has changed by 30.0 m/s at once")],
+)
+def test_a_velocity_that_no_vehicle_reaches_at_once_and_that_stays_is_nothing_to_steer_by(
+    share: float, words: str
+) -> None:
+    scene = Scene()
+    scene.run(0.1)
+    scene.vel[2, 1] = 30.0
+    found: list[Findings] = []
+    while not found:
+        scene.pos = scene.pos + 0.02 * share * scene.vel
+        tick = scene.tick()
+        found += [tick] if tick != Findings() else []
+        assert (scene.poses.vel_ned_m_s == 0.0).all()
+    assert found[0].land == [2]
+    assert found[0].alarms[0].startswith(f"vehicle 3: {words}")
+
+
+def test_a_gust_that_comes_at_once_is_flown_through() -> None:
+    scene = Scene()
+    scene.run(0.1)
+    scene.vel[4, 2] = -2.0  # 100 m/s2 for a tick, and then it goes where that leads
+    for _ in range(25):
+        scene.pos = scene.pos + 0.02 * scene.vel
+        assert scene.tick() == Findings()
 
 
 def test_a_jump_that_stays_is_an_unknown_position_and_the_others_keep_clear_of_where_it_was() -> None:

@@ -2,7 +2,8 @@
 
 A case follows from the mission, the vary file, the campaign's seed and the number of its run alone, so that any
 worker anywhere flies the same. Runs of different cells with the same number of round share their random numbers: the
-cells are compared on the same starts. Refuses to fly anything.
+cells are compared on the same starts. Whom a fault strikes, and when, every run draws for itself, so that a matrix of
+faults is not always about the same vehicle. Refuses to fly anything.
 """
 
 from __future__ import annotations
@@ -89,7 +90,8 @@ class Cases:
         cells = self._vary.cells
         cell = cells[run % len(cells)]
         source = np.random.SeedSequence(self._seed, spawn_key=(run // len(cells),))
-        choice, starts, faults, world = (np.random.default_rng(child) for child in source.spawn(4))
+        choice, starts, _, world = (np.random.default_rng(child) for child in source.spawn(4))
+        faults = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(run // len(cells), run)))
         values, drawn = self._vary.drawn(cell, choice)
         setting = self._vary.setting(values)
         team = self._team(setting)

@@ -22,6 +22,7 @@ _SUSPECT_S = 0.3
 _TILTED_S = 0.3
 _FROZEN_S, _FROZEN_REPORTS = 1.5, 5
 _GAP_S, _GAP_MAX_S = 0.15, 5.0
+_KICK = 2.0  # times what the profile's acceleration makes of a velocity between two reports
 _REACH_S = 0.5  # no longer than this is a trusted position carried on by its velocity
 _LINK_SHARE = 0.8  # of pose_lost_s: a link that is silent is told before its vehicles are, one by one
 
@@ -31,7 +32,8 @@ class PoseJump:
 
     The differences are added up and forgotten over a few seconds. Beyond the limit the vehicle stands still and counts
     as being where it was. When the next reports take it back, as after a single bad packet, nothing has happened; when
-    it lasts, its position is lost.
+    it lasts, its position is lost. A velocity that changes as no vehicle can is suspect as well: believed for one tick,
+    it would lead the following positions astray.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -47,6 +49,7 @@ class PoseJump:
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self.suspect: BoolArray = np.zeros(n, dtype=np.bool_)
         self._away_m: FloatArray = np.zeros(n)
+        self._kick_m_s: FloatArray = np.zeros(n)
 
     def take(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
         """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones."""
@@ -59,6 +62,9 @@ class PoseJump:
         gap_s = np.where(gap_s > _GAP_S, np.minimum(gap_s, _GAP_MAX_S), 0.0)
         away_m = np.linalg.norm(apart_m, axis=1)
         away = ~(away_m <= self._limit_m + 0.5 * self._accel_m_s2 * gap_s**2)
+        kick_m_s = np.linalg.norm(poses.vel_ned_m_s - self._vel, axis=1)
+        passed_s = passed_s[:, 0]
+        away |= ~(kick_m_s * passed_s <= 0.5 * self._limit_m + _KICK * self._accel_m_s2 * passed_s**2)
         self._since_ns = np.where(away & ~self.suspect, now_ns, self._since_ns)
         self.suspect = away | self._told
         self._pose_ns = pose_ns
@@ -66,11 +72,11 @@ class PoseJump:
         self._apart_m[believed] = np.where((gap_s > 0.0)[:, None], 0.0, apart_m)[believed]
         self._pos[believed], self._vel[believed] = poses.pos_team_ned_m[believed], poses.vel_ned_m_s[believed]
         self._at_ns[believed] = now_ns
-        self._away_m = away_m
+        self._away_m, self._kick_m_s = away_m, kick_m_s
         if believed.all():
             return poses
         # It was told to stand still, and carries on for a moment.
-        carried = self._pos + self._vel * np.minimum(passed_s, _REACH_S)
+        carried = self._pos + self._vel * np.minimum(passed_s, _REACH_S)[:, None]
         rows = self.suspect[:, None]
         return replace(
             poses,
@@ -85,6 +91,8 @@ class PoseJump:
             self._told[vehicle] = True
             away_m = self._away_m[vehicle]
             what = f"its position is {away_m:.2f} m from where its velocity leads, limit {self._limit_m:.2g} m"
+            if away_m <= self._limit_m:
+                what = f"its velocity has changed by {self._kick_m_s[vehicle]:.1f} m/s at once"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 
 
