@@ -11,6 +11,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from types import FrameType
 from typing import Protocol
 
@@ -54,6 +55,46 @@ class Control(Protocol):
 
     def answer(self, session: Session) -> None:
         """Tells, right after that tick, what became of them."""
+
+
+class _Desk:
+    """All that the operator speaks by; what fails there is told once and costs no tick."""
+
+    def __init__(self, controls: Sequence[Control], session: Session) -> None:
+        self.controls = controls
+        self._session = session
+        self._failed: set[int] = set()
+        self._now_ns = 0
+
+    def read(self, number: int) -> None:
+        """Takes what has arrived at one of them."""
+        self._guard(number, self.controls[number].read)
+
+    def read_all(self) -> None:
+        """The same at all of them."""
+        for number in range(len(self.controls)):
+            self.read(number)
+
+    def apply(self, now_ns: int) -> None:
+        """Hands orders over, right before the tick."""
+        self._now_ns = now_ns
+        for number, control in enumerate(self.controls):
+            self._guard(number, partial(control.apply, self._session, now_ns))
+
+    def answer(self) -> None:
+        """Tells, right after the tick, what became of them."""
+        for number, control in enumerate(self.controls):
+            self._guard(number, partial(control.answer, self._session))
+
+    def _guard(self, number: int, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except Exception as error:
+            if number not in self._failed:
+                self._failed.add(number)
+                name = type(self.controls[number]).__name__
+                text = f"fault in the ground station, {name}: {type(error).__name__}: {error}; the flight goes on"
+                self._session.remark("alarm", text, self._now_ns)
 
 
 class Interrupts:
@@ -134,6 +175,7 @@ def fly_virtual(
     fleet = session.runner.fleet
     peers = [f"emulator:{sysid}" for sysid in fleet.sysid]
     vehicle_of_peer = {peer: vehicle for vehicle, peer in enumerate(peers)}
+    desk = _Desk(controls, session)
     now_ns = 0
     while not session.runner.done:
         now_ns += period_ns
@@ -144,15 +186,13 @@ def fly_virtual(
             session.deliver(int(fleet.link[sent.vehicle_index]), peers[sent.vehicle_index], sent.data, t_rx_ns)
         if not interrupts.apply(session, now_ns):
             return
-        for control in controls:
-            control.read()
-            control.apply(session, now_ns)
+        desk.read_all()
+        desk.apply(now_ns)
         for datagram in session.tick(now_ns):
             vehicle = vehicle_of_peer.get(datagram.peer)
             if vehicle is not None:  # a greeting to an address of the real world reaches nobody
                 world.receive(vehicle, b"".join(datagram.frames), now_ns)
-        for control in controls:
-            control.answer(session)
+        desk.answer()
         for watch in watchers:
             watch(session, now_ns)
 
@@ -216,12 +256,13 @@ def fly_real(
         interrupts: operator's Ctrl-C.
         controls: what else the operator speaks by.
     """
+    desk = _Desk(controls, session)
     with Waiting([*links, *controls]) as waiting:
         next_tick_ns = clock.now_ns() + period_ns
         while not session.runner.done:
             for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
                 if number >= len(links):
-                    controls[number - len(links)].read()
+                    desk.read(number - len(links))
                     continue
                 for peer, data in links[number].receive():
                     session.deliver(number, peer, data, clock.now_ns())
@@ -236,14 +277,12 @@ def fly_real(
                 continue
             if not interrupts.apply(session, now_ns):
                 return
-            for control in controls:
-                control.apply(session, now_ns)
+            desk.apply(now_ns)
             for link in links:
                 link.service(now_ns)
             for datagram in session.tick(now_ns):
                 links[datagram.link].send(datagram.peer, b"".join(datagram.frames))
-            for control in controls:
-                control.answer(session)
+            desk.answer()
             for watch in watchers:
                 watch(session, now_ns)
             next_tick_ns += period_ns * ((now_ns - next_tick_ns) // period_ns + 1)

@@ -261,7 +261,7 @@ class OrderSocket:
 
     @staticmethod
     def _answer(client: _Client, values: Mapping[str, Any]) -> None:
-        client.answers += to_json(values).encode() + b"\n"
+        client.answers += _line(values)
 
     @staticmethod
     def _send(client: _Client) -> bool:
@@ -273,6 +273,11 @@ class OrderSocket:
         except OSError:
             return False
         return len(client.answers) <= _ANSWERS_MAX
+
+
+def _line(values: Mapping[str, Any]) -> bytes:
+    """One line of JSON; what is no Unicode (a file's name, half a surrogate) is escaped."""
+    return to_json(values).encode("utf-8", "backslashreplace") + b"\n"
 
 
 def ask(path: Path, request: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
@@ -287,7 +292,7 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float) -> dict[str, A
         item.connect(str(path))
         if not is_ours(item):
             raise PermissionError(f"{path} belongs to another user's program")
-        item.sendall(to_json(request).encode() + b"\n")
+        item.sendall(_line(request))
         data = b""
         while not data.endswith(b"\n"):
             piece = item.recv(4096)

@@ -183,10 +183,14 @@ class FormationFlight:
             return str(error)
         while self._plan.spec.steps[self._step_index].form is None:
             self._step_index -= 1
+        self._figures.converged = False
+        self.begin_anew(now_ns)
+        return ""
+
+    def begin_anew(self, now_ns: int) -> None:
+        """The clock of the step under way begins now."""
         self._step_ns = now_ns
         self._steady_since_ns = NEVER
-        self._figures.converged = False
-        return ""
 
     def _fly_as(self, roles: IntArray) -> None:
         """Takes up roles, with the gains of those that are left where somebody is gone."""

@@ -17,7 +17,7 @@ from groundstation.mission.guidance import Poses
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Reaction, Sight, Watch
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
-from groundstation.mission.monitors.vehicles import Battery, Heartbeats, Modes
+from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.plan import MissionPlan
 
 __all__ = ["Findings", "Monitor", "Sight"]
@@ -48,7 +48,7 @@ class Monitor:
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self._modes, self._following = Modes(plan), Following(plan)
         self._watches: tuple[Watch, ...] = (
-            self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
+            self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
             BeyondFence(plan), self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)

@@ -9,7 +9,7 @@ arming it ends at once, with nothing armed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,6 +48,7 @@ _DISARMED_NS = 5 * _SECOND_NS // 2  # two heartbeats that say so
 _STOP_NS = _SECOND_NS  # standing still between an abort and the way back
 _DOWN_MAX_NS = 120 * _SECOND_NS  # nobody is waited for longer than this while the team comes down
 _FAULTS_NOTED = 5
+_SIGHTLESS_NS = 2 * _SECOND_NS  # so long everybody stands still where poses cannot be worked out
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
 _SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
@@ -118,6 +119,7 @@ class Runner:
         self._landing = Landing(plan, self.fleet, self._station.commands)
         self._killing = Killing(plan, self.fleet, self._station.commands)
         self._faults = 0
+        self._sightless_since_ns = NEVER
         self._released: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._words = Words()
@@ -214,20 +216,18 @@ class Runner:
             self.figures.deadline_misses += 1
         self._last_step_ns = now_ns
         self.figures.ticks += 1
-        self._station.ingest()
-        self._listen()
+        self._guarded(now_ns, self._station.ingest)
+        self._guarded(now_ns, self._listen)
         n = self.plan.size
         velocity: FloatArray = np.zeros((n, 3))
-        poses = self._frame.poses(self.fleet, now_ns)
+        poses = self._poses(now_ns)
         lines, self._lines = self._lines, []
         for line in lines:
-            try:
-                self._obey(line, poses, now_ns)
-            except Exception as error:
-                self._fault(error, now_ns)
+            self._guarded(now_ns, self._obey, line, poses, now_ns)
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
-        if self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER:
+        flying = self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER
+        if flying and not self._lost_sight(now_ns):
             poses = out_of_sight(poses)
             try:
                 poses = self._watch(poses, now_ns)
@@ -235,21 +235,21 @@ class Runner:
             except Exception as error:
                 self._fault(error, now_ns)
             # Whatever the monitors do, who has been asked to land is asked until it does.
-            self._landing.step(now_ns, poses, self._released)
+            self._guarded(now_ns, self._landing.step, now_ns, poses, self._released)
         standing: BoolArray = np.zeros(n, dtype=np.bool_)
         if self.phase is Phase.CONNECT:
-            self._connect(now_ns)
+            self._guarded(now_ns, self._connect, now_ns)
         elif self.phase is Phase.TAKEOVER:
-            self._take(now_ns)
+            self._guarded(now_ns, self._take, now_ns)
             standing = self._take_over.taken
         elif self.phase is Phase.ARM:
-            self._arm(now_ns, poses)
+            self._guarded(now_ns, self._arm, now_ns, poses)
         elif self.phase is Phase.SILENT:
-            self._landing.step(now_ns, poses, self._released)
-            self._come_down(now_ns)
-        elif self.phase in AIRBORNE_PHASES:
+            self._guarded(now_ns, self._landing.step, now_ns, poses, self._released)
+            self._guarded(now_ns, self._come_down, now_ns)
+        elif self.phase in AIRBORNE_PHASES and self._sightless_since_ns == NEVER:
             velocity = self._steer(now_ns, poses)
-        self._killing.step(now_ns)
+        self._guarded(now_ns, self._killing.step, now_ns)
         streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
         streaming &= ~self._climb.under_way
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
@@ -257,7 +257,44 @@ class Runner:
             return []  # heartbeats too: some autopilots act only when those are gone
         still = self._monitor.hold | self._landing.asked | self._released
         velocity = self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity)
-        return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
+        try:
+            return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
+        except Exception as error:
+            self._fault(error, now_ns)
+            return []  # the next tick tries again; autopilots fly on by their last setpoint for half a second
+
+    def _guarded(self, now_ns: int, act: Callable[..., None], *given: object) -> None:
+        """Does one part of a tick. Whatever goes wrong in it is told and ends the mission, and stops no other part."""
+        try:
+            act(*given)
+        except Exception as error:
+            self._fault(error, now_ns)
+
+    def _poses(self, now_ns: int) -> Poses:
+        """Where everybody is; unknown, all of it, when that cannot be worked out."""
+        try:
+            poses = self._frame.poses(self.fleet, now_ns)
+        except Exception as error:
+            self._fault(error, now_ns)
+            if self._sightless_since_ns == NEVER:
+                self._sightless_since_ns = now_ns
+            n = self.plan.size
+            level = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+            return Poses(np.full((n, 3), np.nan), np.zeros((n, 3)), level, np.zeros(n, dtype=np.bool_))
+        self._sightless_since_ns = NEVER
+        return poses
+
+    def _lost_sight(self, now_ns: int) -> bool:
+        """Whether poses cannot be worked out: everybody stands still for a moment, then is left to its failsafe.
+
+        What the autopilots do without a ground station was set before takeoff so that they keep clear of each other.
+        """
+        if self._sightless_since_ns == NEVER:
+            return False
+        if now_ns - self._sightless_since_ns >= _SIGHTLESS_NS:
+            self._abort("setpoints end, the autopilots' own failsafe takes over")
+            self._enter(Phase.SILENT, now_ns)
+        return True
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
         """One tick of a phase in the air; whatever goes wrong here, the vehicles get a setpoint: to stand still."""
@@ -289,6 +326,9 @@ class Runner:
         text = f"fault in the ground station, {type(error).__name__}: {error}"
         if self._faults <= _FAULTS_NOTED:
             self._note("alarm", text)
+        if self.phase is Phase.TAKEOVER:
+            self._abort(f"{text}; everybody is left to its own failsafe")
+            self._enter(Phase.SILENT, now_ns)
         self._give_up(text, now_ns)
 
     # Phases
@@ -322,7 +362,7 @@ class Runner:
 
     def _take(self, now_ns: int) -> None:
         """Holds whoever is in the air, then brings everybody home whose place is known."""
-        state = self._take_over.step(now_ns)
+        state = self._take_over.step(now_ns, self._released)
         for note in state.notes:
             self._note("info", note)
         self.problems = state.problems + state.waiting
@@ -497,7 +537,8 @@ class Runner:
     def _too_low_to_hold(self) -> str | None:
         """Words for a battery that does not allow standing still, None when all do."""
         minimum = self.plan.spec.limits.battery_min
-        for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & ~self._released):
+        flying = self.airborne & ~self._released & ~self._landing.asked
+        for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & flying):
             left = self.fleet.battery_remaining[vehicle]
             return f"vehicle {self.fleet.sysid[vehicle]}: battery at {left:.0%}, minimum is {minimum:.0%}"
         return None
@@ -527,7 +568,12 @@ class Runner:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             height_m = (self._pads_ned_m - self._frame.poses(self.fleet, now_ns).pos_team_ned_m)[:, 2]
-            for vehicle in np.flatnonzero(up).tolist():
+            for vehicle in np.flatnonzero(up & self._killing.asked).tolist():
+                self._abort(
+                    f"vehicle {self.fleet.sysid[vehicle]}: told to stop its motors, and still armed by its own report"
+                    f" after {down_max_ns // _SECOND_NS:g} s; keep clear of it, stop it by remote control"
+                )
+            for vehicle in np.flatnonzero(up & ~self._killing.asked).tolist():
                 self._abort(self._landing.words_of_late(vehicle, float(height_m[vehicle]), down_max_ns // _SECOND_NS))
         flying = self.airborne & ~lost & ~self._killing.asked & ~up
         for text in still_flying(self.fleet, self.plan, flying, now_ns):
@@ -546,6 +592,8 @@ class Runner:
         why = refusal(self.phase, command.order)
         if command.order is Order.HOLD and why is None:
             why = self._too_low_to_hold()
+        if why is None and self._sightless_since_ns != NEVER and command.order in (Order.HOLD, Order.LAND):
+            why = "where the vehicles are cannot be worked out at the moment"
         if why is not None:
             self._note("alarm", f"operator: {command.text} refused: {why}")
             return
@@ -580,6 +628,8 @@ class Runner:
         if self._resume_phase_ns != NEVER:
             self._phase_ns = self._resume_phase_ns + held_ns
             self._flight.stood_still(held_ns)
+        else:
+            self._flight.begin_anew(now_ns)
 
     def _land_now(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
         """Some, or all, come down where they are."""

@@ -141,6 +141,7 @@ class LimitsSpec(_Strict):
     battery_land: Annotated[Number, Field(ge=0, lt=1)] | None = None
     battery_min_v: Positive | None = None
     battery_land_v: Positive | None = None
+    battery_age_s: Positive = 10.0
 
 
 class FailsafeSpec(_Strict):

@@ -31,6 +31,8 @@ from groundstation.mission.preflight import Preflight
 _SECOND_NS = 1_000_000_000
 LISTEN_NS = 5 * _SECOND_NS
 """Time to hear everybody's heartbeat, whatever the links lose."""
+_LISTEN_MAX_NS = 10 * _SECOND_NS
+"""So long those who stand safely wait for one that nobody has heard: it may just have lost its link."""
 _STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
 _ASK_AGAIN_NS = _SECOND_NS
 _STREAMS_AGAIN_NS = 3 * _SECOND_NS
@@ -90,13 +92,15 @@ class TakeOver:
         self._streams_asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._frame_asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
+        self._came_down: BoolArray = np.zeros(n, dtype=np.bool_)
         self._fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
 
-    def step(self, now_ns: int) -> TakeOverState:
+    def step(self, now_ns: int, released: BoolArray) -> TakeOverState:
         """Asks for what is missing, and takes whom it can.
 
         Args:
             now_ns: time of this tick.
+            released: no longer ours, killed by the operator: gets no command and no setpoint, shape (n,).
         """
         state = TakeOverState()
         fleet = self._station.fleet
@@ -107,17 +111,21 @@ class TakeOver:
         self.home[:] = False
         for vehicle, spec in enumerate(self._plan.spec.vehicles):
             name = f"vehicle {spec.id}"
+            if released[vehicle]:
+                self.taken[vehicle] = False
+                continue
             if fleet.heartbeat_ns[vehicle] == NEVER:
-                if now_ns - self._start_ns < LISTEN_NS:
+                if now_ns - self._start_ns < _LISTEN_MAX_NS:
                     state.waiting.append(f"{name}: no heartbeat on {spec.link} yet")
                 else:
                     state.problems.append(f"{name}: not heard, where it is is not known")
                 continue
             self._ask(vehicle, now_ns, int(pose_ns[vehicle]))
             if self._on_the_ground(vehicle):
-                if self.taken[vehicle]:
-                    state.notes.append(f"{name}: has landed before it could be held")
+                self._came_down[vehicle] |= self.taken[vehicle]
                 self.taken[vehicle] = False
+                if self._came_down[vehicle]:
+                    state.problems.append(f"{name}: has come down by its own failsafe before it could be brought home")
                 continue
             problem = self._not_ours(vehicle, now_ns)
             if problem is not None:

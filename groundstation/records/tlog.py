@@ -182,11 +182,11 @@ class TlogWriter:
 
     def operator(self, text: str, t_ns: int) -> None:
         """Records a command of the operator."""
-        self._note_pieces(Kind.OPERATOR, pack_text(text.encode()), t_ns)
+        self._note_pieces(Kind.OPERATOR, pack_text(text.encode("utf-8", "backslashreplace")), t_ns)
 
     def event(self, text: str, t_ns: int) -> None:
         """Records something for people and the report; ``"phase: NAME"`` begins a phase."""
-        self._note_pieces(Kind.EVENT, pack_text(text.encode()), t_ns)
+        self._note_pieces(Kind.EVENT, pack_text(text.encode("utf-8", "backslashreplace")), t_ns)
 
     def roles(self, roles: Sequence[int | None], t_ns: int) -> None:
         """Records the role of each vehicle, in the order of the mission, counted from 0, None for none."""

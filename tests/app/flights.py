@@ -128,6 +128,24 @@ def cube8(*changes: str) -> MissionPlan:
     return load_mission(CUBE8, changes)
 
 
+def four(*changes: str) -> MissionPlan:
+    """Four vehicles with one above the others, small enough to be flown often."""
+    return cube8(
+        "formation=../formations/tetrahedron4.yaml",
+        "gains=../gains/tetrahedron4.npz",
+        f"vehicles={_vehicles(4)}",
+        "steps.1.hold.seconds=3",
+        *changes,
+    )
+
+
+def _vehicles(count: int) -> str:
+    listed = (
+        f"{{id: {i + 1}, link: 'udpin://127.0.0.1:14540', pad_m: [{i % 2}.0, {i // 2}.0, 0.0]}}" for i in range(count)
+    )
+    return f"[{', '.join(listed)}]"
+
+
 def mission(name: str, *changes: str) -> MissionPlan:
     """One of the packaged missions, changed."""
     return load_mission(packaged_configs() / "missions" / f"{name}.yaml", changes)

@@ -11,14 +11,17 @@ from typing import cast
 import numpy as np
 import pytest
 
+from groundstation.app.emulator import world_config
+from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.session import Session
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
 from groundstation.mission.guidance import Guide, Poses, Setpoints
 from groundstation.mission.monitor import Monitor
-from groundstation.mission.runner import Phase
-from sitl.world import Outgoing
-from tests.app.flights import SECOND_NS, Flight, cube8
+from groundstation.mission.runner import Phase, Runner
+from sitl.world import Outgoing, World
+from tests.app.flights import SECOND_NS, Flight, cube8, pair
 
 POSITION = message_id("LOCAL_POSITION_NED")
 HEARTBEAT = message_id("HEARTBEAT")
@@ -292,6 +295,31 @@ def test_a_fault_in_our_own_mathematics_never_leaves_a_vehicle_without_a_setpoin
     sent = np.diff(gaps[first:])
     landing = flight.runner.figures.ticks
     assert (sent[: landing - first - 300] == 8).all()
+
+
+def test_a_desk_that_fails_is_told_once_and_costs_nobody_a_tick() -> None:
+    class Broken:
+        def sources(self) -> tuple[int, ...]:
+            return ()
+
+        def read(self) -> None:
+            raise RuntimeError("made up")
+
+        def apply(self, session: Session, now_ns: int) -> None:
+            raise RuntimeError("made up")
+
+        def answer(self, session: Session) -> None:
+            raise RuntimeError("made up")
+
+    plan = pair()
+    session = Session(Runner(plan, 0), None)
+    world = World(world_config(plan, 1), 1)
+    fly_virtual(
+        session, world, period_ns=20_000_000, watchers=(), interrupts=Interrupts(), controls=(Broken(), Broken())
+    )
+    told = [note.text for note in session.take_notes() if "RuntimeError" in note.text]
+    assert told == ["fault in the ground station, Broken: RuntimeError: made up; the flight goes on"] * 2
+    assert session.runner.outcome == "completed"
 
 
 @pytest.mark.parametrize("broken", ["trusted", "look", "obstacles"])

@@ -19,7 +19,7 @@ from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.mission.state import Note
 from sitl.world import World
-from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, pair
+from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, four, pair
 
 PERIOD_NS = 20_000_000
 copyreg.pickle(struct.Struct, lambda shape: (struct.Struct, (shape.format,)))  # so that flights can be copied
@@ -197,6 +197,38 @@ def test_nothing_is_held_on_a_low_battery() -> None:
     flight = Flight(pair(), interrupt_when=look)
     assert "operator: hold refused: vehicle 2: battery at 10%, minimum is 40%" in flight.texts("alarm")
     assert Phase.PAUSE not in flight.phase_seen
+    _safe(flight)
+
+
+def test_the_battery_of_one_that_has_landed_holds_up_nobody() -> None:
+    """On with three of four; the fourth has come home with an empty battery, and stands on its pad."""
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.FORM and not drained:
+            flight.world.autopilots[1].battery.left = 0.15
+            drained.append(True)
+        return holds(flight)
+
+    drained: list[bool] = []
+    holds = _says((_one_is_down, "hold"), (after(Phase.PAUSE, 2.0), "resume"))
+    flight = Flight(four("on_lost=continue_open", "steps.1.hold.seconds=25"), interrupt_when=look)
+    assert "vehicle 2: battery at 1" in flight.runner.reason
+    assert not [text for text in flight.texts("alarm") if "refused" in text or "the hold is over" in text]
+    where = flight.phase_seen.index(Phase.PAUSE)
+    assert flight.phase_seen[where + 1 :] == [Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]
+    _safe(flight)
+
+
+def _one_is_down(flight: Flight) -> bool:
+    return flight.runner.phase is Phase.HOLD and not flight.world.truth.armed[1]
+
+
+def test_one_that_is_lost_during_a_hold_costs_the_others_none_of_their_time_to_form() -> None:
+    says = _says((after(Phase.HOLD), "hold"), (after(Phase.PAUSE, 2.0), "land 4"), (after(Phase.PAUSE, 20.0), "resume"))
+    flight = Flight(four("on_lost=continue_open", "steps.0.form.timeout_s=12"), interrupt_when=says)
+    assert flight.runner.reason == "vehicle 4: landed by the operator"
+    where = flight.phase_seen.index(Phase.PAUSE)
+    assert flight.phase_seen[where + 1 :] == [Phase.FORM, Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]
     _safe(flight)
 
 

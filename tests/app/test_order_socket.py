@@ -27,9 +27,9 @@ TICK_NS = 20_000_000
 class Desk:
     """A flight that has not begun, and its socket."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, log: str = "/somewhere/a.tlog") -> None:
         self.session = Session(Runner(pair(), 0), None)
-        self.about = {"mission": "first_flight2", "log": "/somewhere/a.tlog", "pid": os.getpid(), "vehicles": [1, 2]}
+        self.about = {"mission": "first_flight2", "log": log, "pid": os.getpid(), "vehicles": [1, 2]}
         self.orders = OrderSocket(folder, self.about)
         self.now_ns = 0
 
@@ -87,6 +87,8 @@ def test_an_order_reaches_the_flight_and_is_answered(desk: Desk) -> None:
         (b"[1, 2]\n", "expected a line"),
         (b"hold\n", "expected a line"),
         (b"\xff\xfe\n", "expected a line"),
+        (b'{"order": "\\ud800"}\n', "is none of"),
+        (b'{"order": "kill \\udcff"}\n', "is no vehicle"),
         (b"[" * 900 + b"\n", "expected a line"),
     ],
 )
@@ -95,6 +97,12 @@ def test_what_is_no_order_is_answered_in_words_and_changes_nothing(desk: Desk, l
     assert answer["ok"] is False
     assert why in answer["why"]
     assert desk.session.runner.outcome is None
+
+
+def test_a_log_whose_name_is_no_text_is_told_all_the_same(tmp_path: Path) -> None:
+    desk = Desk(tmp_path / "gs", log="/somewhere/u\udcff.tlog")
+    with desk.orders:
+        assert desk.ask(b'{"about": true}\n')["log"] == "/somewhere/u\udcff.tlog"
 
 
 def test_only_the_owner_gets_in(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:

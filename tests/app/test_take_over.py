@@ -14,12 +14,12 @@ from groundstation.core.types import FloatArray
 from groundstation.mavlink.codec import Batch, Frame, FrameSplitter, decode, message_id
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
-from sitl.px4 import POSCTL
+from sitl.px4 import LAND, POSCTL
 from sitl.world import Outgoing, World
-from tests.app.flights import SECOND_NS, Flight, cube8, mission, pair, still_in
+from tests.app.flights import SECOND_NS, Flight, cube8, four, mission, pair, still_in
 
 SETPOINT = message_id("SET_POSITION_TARGET_LOCAL_NED")
-DO_SET_MODE = 176
+DO_SET_MODE, COMPONENT_ARM_DISARM = 176, 400
 
 
 class _Died(Exception):  # noqa: N818 - the end of a process, not an error
@@ -86,32 +86,14 @@ def _assert_home(flight: Flight) -> None:
     assert flight.world.min_distance_airborne_m >= flight.plan.spec.avoidance.radius_m
 
 
-def _four(*changes: str) -> MissionPlan:
-    """Four vehicles with one above the others, small enough to be flown often."""
-    return cube8(
-        "formation=../formations/tetrahedron4.yaml",
-        "gains=../gains/tetrahedron4.npz",
-        f"vehicles={_vehicles(4)}",
-        "steps.1.hold.seconds=3",
-        *changes,
-    )
-
-
-def _vehicles(count: int) -> str:
-    listed = (
-        f"{{id: {i + 1}, link: 'udpin://127.0.0.1:14540', pad_m: [{i % 2}.0, {i // 2}.0, 0.0]}}" for i in range(count)
-    )
-    return f"[{', '.join(listed)}]"
-
-
 @pytest.mark.parametrize(
     ("phase", "for_s"), [(Phase.TAKEOFF, 1.8), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.0)]
 )
 def test_a_team_that_was_left_is_brought_home_from_every_phase(phase: Phase, for_s: float, tmp_path: Path) -> None:
-    world = _left_in_the_air(_four(), still_in(phase, for_s), prepare=_holds)
+    world = _left_in_the_air(four(), still_in(phase, for_s), prepare=_holds)
     assert world.truth.airborne.all()
     log = tmp_path / "flight.tlog"
-    flight = Flight(_four(), world=world, take_over=True, log=log)
+    flight = Flight(four(), world=world, take_over=True, log=log)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     assert flight.phase_seen == [Phase.TAKEOVER, Phase.RETURN, Phase.LAND, Phase.DONE]
     _assert_home(flight)
@@ -147,7 +129,7 @@ def test_setpoints_to_stand_still_come_before_the_mode_is_asked_for() -> None:
 
 
 def test_a_vehicle_that_its_failsafe_has_landed_stays_where_it_is_and_the_others_come_home() -> None:
-    plan = _four()
+    plan = four()
 
     def one_lands(world: World) -> None:
         _holds(world)
@@ -167,8 +149,8 @@ def test_one_that_nobody_hears_is_named_and_the_others_come_home() -> None:
     def mute(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
         return [] if datagram.vehicle_index == 1 else [datagram]
 
-    world = _left_in_the_air(_four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
-    flight = Flight(_four(), world=world, take_over=True, tamper=mute)
+    world = _left_in_the_air(four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
+    flight = Flight(four(), world=world, take_over=True, tamper=mute)
     assert flight.runner.outcome == "aborted"
     assert "vehicle 2: not heard, where it is is not known" in flight.runner.reason
     truth = flight.world.truth
@@ -176,8 +158,78 @@ def test_one_that_nobody_hears_is_named_and_the_others_come_home() -> None:
     assert np.delete(_off_pads_m(flight), 1).max() < 0.3
 
 
+def test_one_that_is_heard_late_is_waited_for_and_brought_home_with_the_others() -> None:
+    def late(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        return [] if datagram.vehicle_index == 1 and flight.now_ns < 7 * SECOND_NS else [datagram]
+
+    world = _left_in_the_air(four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
+    flight = Flight(four(), world=world, take_over=True, tamper=late)
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
+    _assert_home(flight)
+    assert _off_pads_m(flight).max() < 0.3
+
+
+def test_one_that_comes_down_by_its_failsafe_while_it_is_taken_over_is_told() -> None:
+    def one_lands(world: World) -> None:
+        _holds(world)
+        world.autopilots[0].ignore_commands = True
+
+    world = _left_in_the_air(four(), still_in(Phase.FORM, 2.0), idle_s=1.5, prepare=one_lands)
+    assert world.truth.airborne.all()
+    world.autopilots[0].intention, world.autopilots[0].failsafe = LAND, None  # type: ignore[attr-defined]
+    flight = Flight(four(), world=world, take_over=True)
+    assert flight.runner.outcome == "aborted"
+    assert "vehicle 1: has come down by its own failsafe before it could be brought home" in flight.runner.reason
+    assert np.delete(_off_pads_m(flight), 0).max() < 0.3
+    _assert_home(flight)
+
+
+def test_who_is_killed_while_it_is_taken_over_is_asked_for_nothing_else() -> None:
+    asked: list[int] = []
+    said: list[int] = []
+
+    class Watched(Flight):
+        def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
+            if vehicle_index == 1 and said:
+                frames = [piece for piece in FrameSplitter().feed(data) if isinstance(piece, Frame)]
+                asked.extend(
+                    int(code)
+                    for batch in decode(frames)
+                    if batch.name == "COMMAND_LONG"
+                    for code in batch.values["command"]
+                )
+            super().receive(vehicle_index, data, now_ns)
+
+    def kill(flight: Flight) -> bool:
+        if flight.now_ns > 2 * SECOND_NS and not said:
+            said.append(flight.now_ns)
+            flight.session.operator("kill 2", flight.now_ns)
+        return False
+
+    plan = pair(autopilots=("px4", "px4"))
+    world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_holds)
+    world.autopilots[1].ignore_commands = True
+    flight = Watched(plan, world=world, take_over=True, interrupt_when=kill)
+    assert set(asked) == {COMPONENT_ARM_DISARM}
+    assert "vehicle 2: told to stop its motors, and still armed by its own report" in flight.runner.reason
+    assert "it has not taken" not in flight.runner.reason
+    assert world.truth.armed.tolist() == [False, True]
+
+
+def test_a_fault_of_our_own_while_taking_over_leaves_everybody_to_its_failsafe(monkeypatch: pytest.MonkeyPatch) -> None:
+    def faulty(*_given: object) -> None:
+        raise FloatingPointError("made up")
+
+    plan = pair(autopilots=("px4", "px4"))
+    world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_land_modes)
+    monkeypatch.setattr("groundstation.mission.takeover.TakeOver.step", faulty)
+    flight = Flight(plan, world=world, take_over=True, limit_s=400.0)
+    assert flight.phase_seen == [Phase.SILENT, Phase.DONE]
+    assert "FloatingPointError: made up; everybody is left to its own failsafe" in flight.runner.reason
+
+
 def test_a_vehicle_that_a_pilot_flies_is_not_touched() -> None:
-    plan = _four()
+    plan = four()
     world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_holds)
     world.autopilots[3].intention, world.autopilots[3].failsafe = POSCTL, None  # type: ignore[attr-defined]
     before = flight_modes(world)
@@ -190,7 +242,7 @@ def test_a_vehicle_that_a_pilot_flies_is_not_touched() -> None:
 
 def test_nobody_is_taken_from_another_ground_station() -> None:
     """The first one is alive: its vehicles follow it, and a second one waits and then leaves them alone."""
-    plan = _four()
+    plan = four()
     refused: list[str] = []
     others: list[Runner] = []
 
@@ -209,7 +261,7 @@ def test_nobody_is_taken_from_another_ground_station() -> None:
                 refused.extend([other.reason] * other.done)
             return sent
 
-    changed = _four("steps.1.hold.seconds=25")
+    changed = four("steps.1.hold.seconds=25")
     flight = Haunted(changed)
     assert flight.runner.outcome == "completed"
     assert refused
@@ -217,15 +269,15 @@ def test_nobody_is_taken_from_another_ground_station() -> None:
 
 
 def test_nothing_is_taken_over_where_everybody_stands_on_the_ground() -> None:
-    flight = Flight(_four(), take_over=True)
+    flight = Flight(four(), take_over=True)
     assert flight.runner.outcome == "refused"
     assert flight.runner.reason == "nobody is in the air; there is nothing to take over"
     assert flight.runner.setpoints_sent == 0
 
 
 def test_one_that_did_not_take_off_from_its_pad_is_left_to_its_failsafe() -> None:
-    moved = _four("vehicles.0.pad_m=[-1.0, -1.0, 0.0]")
-    world = _left_in_the_air(_four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
+    moved = four("vehicles.0.pad_m=[-1.0, -1.0, 0.0]")
+    world = _left_in_the_air(four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
     for pilot in world.autopilots[:1]:
         world.home_enu_m[:, pilot.index] += np.array([0.0, 0.8, 0.0])
     flight = Flight(moved, world=world, take_over=True)

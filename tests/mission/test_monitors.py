@@ -203,6 +203,27 @@ def test_a_gust_that_comes_at_once_is_flown_through() -> None:
         assert scene.tick() == Findings()
 
 
+@pytest.mark.parametrize("how", ["no message", "no figures in it"])
+def test_a_battery_that_nobody_tells_any_more_brings_its_vehicle_back(how: str) -> None:
+    scene = Scene()
+    scene.fleet.status_ns[:5] = scene.now_ns  # of the others it was never told
+
+    def told() -> None:
+        scene.fleet.status_ns[:4] = scene.now_ns
+        if how != "no message":
+            scene.fleet.status_ns[4] = scene.now_ns
+            scene.fleet.battery_remaining[4] = np.nan
+
+    scene.tick()
+    assert scene.run(9.9, told) == []
+    (found,) = scene.run(0.3, told)
+    assert (found.alarms, found.abort) == (["vehicle 5: its battery was last told 10 s ago"], None)
+    (found,) = scene.run(20.5, told)
+    assert found.home == [4]
+    assert found.abort == "vehicle 5: its battery was last told 30 s ago, limit 30 s; everybody comes back"
+    assert scene.run(60.0, told) == []
+
+
 def test_a_jump_that_stays_is_an_unknown_position_and_the_others_keep_clear_of_where_it_was() -> None:
     scene = Scene()
     scene.run(0.1)

@@ -233,7 +233,14 @@ def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Seque
     controls: list[Control] = []
     plan, prompt = session.runner.plan, None
     ids = [vehicle.id for vehicle in plan.spec.vehicles]
-    about = {"mission": plan.spec.name, "log": str(log_path.resolve()), "pid": os.getpid(), "vehicles": ids}
+    # A file's name need not be text.
+    path = os.fsencode(log_path.resolve()).decode("utf-8", "replace")
+    about = {
+        "mission": plan.spec.name,
+        "log": path,
+        "pid": os.getpid(),
+        "vehicles": ids,
+    }
     try:
         folder = runtime_folder(os.environ, Path.home())
         controls.append(stack.enter_context(OrderSocket(folder, about)))

@@ -8,9 +8,11 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan import MissionPlan
 
+_REPORTS_MISSED = 3.0  # on narrow links batteries are told so rarely that this is longer than the limit
+_BATTERY_LOST = 3.0  # times the limit after which the vehicle comes back
 _MODE_LOST_S = 2.5  # two heartbeats, so that one from before our last request is not believed
 
 
@@ -77,6 +79,30 @@ class Battery:
                 if vehicle not in told:
                     told.add(vehicle)
                     yield Finding(stage.reaction, what, (vehicle,), urgent=stage.reaction is not Reaction.SAY)
+
+
+class BatteryAge:
+    """Batteries of which nothing is told any more, after it was: nobody would see them run down."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        reports_hz = [plan.rates_of(i).status_hz()["SYS_STATUS"] for i in range(plan.size)]
+        self._limit_s: FloatArray = np.maximum(plan.spec.limits.battery_age_s, _REPORTS_MISSED / np.array(reports_hz))
+        self._told_ns: IntArray = np.full(plan.size, NEVER, dtype=np.int64)
+        self._first, self._again = Lasting(plan.size, again=True), Lasting(plan.size)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Tells of it, and brings the vehicle back when it lasts."""
+        fleet = sight.fleet
+        known = np.isfinite(fleet.battery_remaining) | np.isfinite(fleet.battery_v)
+        self._told_ns = np.where(known, fleet.status_ns, self._told_ns)
+        age_s = (sight.now_ns - self._told_ns) / SECOND_NS
+        counts = (self._told_ns != NEVER) & sight.airborne & ours & ~sight.excused
+        for vehicle in self._first(counts & (age_s > self._limit_s), sight.now_ns):
+            yield Finding(Reaction.SAY, f"its battery was last told {age_s[vehicle]:.0f} s ago", (vehicle,))
+        for vehicle in self._again(counts & (age_s > _BATTERY_LOST * self._limit_s), sight.now_ns):
+            limit_s = _BATTERY_LOST * self._limit_s[vehicle]
+            what = f"its battery was last told {age_s[vehicle]:.0f} s ago, limit {limit_s:.0f} s"
+            yield Finding(Reaction.HOME, what, (vehicle,))
 
 
 class _Stage:
