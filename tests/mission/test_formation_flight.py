@@ -1,0 +1,151 @@
+"""Formation flight without anything around it: points that do at once what they are told, and what ends a step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from groundstation.app.resources import packaged_configs
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mission.failsafe import first_roles
+from groundstation.mission.formation_flight import FormationFlight
+from groundstation.mission.guidance import Guide, Poses
+from groundstation.mission.plan import load_mission
+from groundstation.mission.state import Figures, Phase
+
+CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
+TICK_NS = 20_000_000
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+class Team:
+    """Eight points, or four, in formation flight."""
+
+    def __init__(self, *changes: str, roles: bool = True) -> None:
+        self.plan = load_mission(CUBE8, changes)
+        self.figures, self.texts = Figures(), list[str]()
+        self.flight = FormationFlight(
+            self.plan, Guide(self.plan), self.figures, lambda kind, text, given: self.texts.append(text)
+        )
+        if roles:
+            self.flight.assign(first_roles(self.plan))
+        self.pos: FloatArray = self.flight.gather_ned_m.copy()
+        self.vel: FloatArray = np.zeros_like(self.pos)
+        self.now_ns = 0
+        self.nobody: BoolArray = np.zeros(self.plan.size, dtype=np.bool_)
+        self.flight.next_step(0, self.poses())
+
+    def poses(self) -> Poses:
+        return Poses(self.pos, self.vel, np.tile(LEVEL, (self.plan.size, 1)), self.nobody)
+
+    def ends(self, limit_s: float = 60.0, *, absent: BoolArray | None = None, follow: bool = True) -> Phase | str:
+        """Flies on until something follows; returns the phase, or why it cannot go on."""
+        for _ in range(round(limit_s / 0.02)):
+            tick = self.flight.step(self.now_ns, self.poses(), absent)
+            if tick.give_up or tick.enter is not None:
+                return tick.give_up or tick.enter or ""
+            if follow:
+                self.vel = tick.vel_ned_m_s
+                self.pos = self.pos + 0.02 * self.vel
+            self.now_ns += TICK_NS
+        return "nothing"
+
+
+def test_points_form_hold_and_come_back() -> None:
+    team = Team("steps.1.hold.seconds=1")
+    assert team.ends() is Phase.HOLD
+    assert 1.0 < team.figures.time_to_form_s < 15.0
+    assert team.ends() is Phase.RETURN
+    assert team.figures.converged
+
+
+def test_nobody_flies_without_roles() -> None:
+    with pytest.raises(RuntimeError, match="without roles"):
+        Team(roles=False).ends()
+
+
+def test_a_team_that_does_not_form_in_its_time_gives_up() -> None:
+    team = Team("steps.0.form.timeout_s=2")
+    ended = team.ends(follow=False)
+    assert isinstance(ended, str)
+    assert ended.startswith("not formed after 2 s: a distance is ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "lost", "words"),
+    [
+        (("steps=[form: {}, move: {turn_deg: 20}]",), [0], "a mission of several formations, or with moves"),
+        ((), [0, 1, 2, 3], "4 of 8 vehicles are left in the formation, which needs more than half"),
+    ],
+)
+def test_a_team_that_cannot_go_on_without_some_says_why(changes: tuple[str, ...], lost: list[int], words: str) -> None:
+    team = Team("on_lost=continue_open", *changes)
+    assert words in team.flight.leave(lost, 0)
+
+
+def test_a_graph_that_those_left_do_not_hold_together_is_no_formation(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_given: object) -> None:
+        raise ValueError("falls into two")
+
+    team = Team("on_lost=continue_open")
+    monkeypatch.setattr("groundstation.mission.formation_flight.task_for_those_left", broken)
+    assert team.flight.leave([3], 0) == "falls into two"
+
+
+def test_the_first_roles_are_filled_up_from_the_last() -> None:
+    team = Team("on_lost=continue_take_over")
+    before = team.flight.role_of_agent.copy()
+    first, last = (int(np.flatnonzero(before == role)[0]) for role in (0, 7))
+    assert team.flight.leave([first], 0) == ""
+    assert team.flight.role_of_agent[last] == 0
+    assert team.figures.role_swaps == 1
+    roles = team.flight.role_of_agent
+    assert team.flight.leave([int(np.flatnonzero(roles == 6)[0])], 0) == ""  # the last that is taken: nobody moves up
+    assert team.figures.role_swaps == 1
+    assert team.ends() is Phase.HOLD
+
+
+MOVE = "steps=[form: {{}}, move: {{{}}}]"
+
+
+def test_a_move_turns_grows_and_is_told() -> None:
+    team = Team(MOVE.format("by_m: [0.2, 0, 0.2], turn_deg: 30, scale: 1.2"))
+    assert team.ends() is Phase.MOVE
+    assert team.ends() is Phase.RETURN
+    assert "the middle of the team has moved by" in team.texts[-1]
+    assert any("scale changing" in text for text in team.texts)
+    assert any("scale 1.2" in text for text in team.texts)
+    assert team.flight.error_m(team.pos) < 0.05
+
+
+def test_a_move_that_would_leave_the_fence_from_here_does_not_begin() -> None:
+    team = Team(MOVE.format("by_m: [0, 0, 0.6]"))
+    assert team.ends() is Phase.MOVE
+    team.pos = team.pos - [0.0, 0.0, 1.3]  # where plan and start put it, it would have had room
+    assert str(team.ends()).startswith("move not begun: it would take vehicle ")
+
+
+def test_a_move_waits_for_one_that_does_not_follow_and_gives_up_in_the_end() -> None:
+    team = Team(MOVE.format("by_m: [0.4, 0, 0], seconds: 4"))
+    assert team.ends() is Phase.MOVE
+    absent = team.nobody.copy()
+    absent[2] = True
+    ended = team.ends(absent=absent)
+    assert ended == "move not finished: 0 % of the way done, a vehicle does not follow"
+
+
+def test_a_formation_that_is_torn_while_it_moves_is_lost() -> None:
+    team = Team(MOVE.format("by_m: [0.4, 0, 0], seconds: 4"))
+    assert team.ends() is Phase.MOVE
+    team.pos[0] += [0.4, 0.0, 0.0]
+    assert str(team.ends(follow=False)).startswith("formation lost while moving: a distance is ")
+
+
+def test_a_wall_holds_up_a_move() -> None:
+    team = Team(MOVE.format("by_m: [0.4, 0, 0], seconds: 4"))
+    assert team.ends() is Phase.MOVE
+    assert team.ends(1.0) == "nothing"
+    team.pos[:, 1] += 2.98 - team.pos[:, 1].max()  # blown there, as one
+    ended = str(team.ends())
+    assert ended.startswith("move not finished: ")
+    assert ended.endswith("the fence is in the way")
