@@ -172,6 +172,34 @@ def test_upright_regions_are_judged_in_their_own_norm(tmp_path: Path) -> None:
     assert 1.0 <= row["min_clearance"] < row["min_obedient_m"] / 0.5
 
 
+GRIDLOCKED = """
+limit_s: 40
+settle_s: 0
+set:
+  assignment: fixed
+  role_swaps: false
+  avoidance.radius_m: 0.8
+  avoidance.activation_m: 0.85
+  vehicles.0.pad_m: [0, 1, 0]
+  vehicles.7.pad_m: [-1, -1, 0]
+  vehicles.1.pad_m: [1, 0, 0]
+  vehicles.5.pad_m: [0, -1, 0]
+"""
+
+
+def test_detours_are_counted_beside_gridlocks_and_swaps(tmp_path: Path) -> None:
+    row = fly_case(_case(tmp_path, GRIDLOCKED))
+    assert row["error"] == ""
+    assert (row["gridlocks"] > 0, row["role_swaps"], row["detours"] > 0) == (True, 0, True)
+    values = summarise([row, {**row, "run": 1}], [""], lambda run: f"again {run}")
+    assert values["detours"] == 2 * row["detours"]
+    head, _, line = (
+        [cell.strip() for cell in text.strip("|").split("|")] for text in to_markdown(values).splitlines()[:3]
+    )
+    assert line[head.index("swaps") + 1 : head.index("swaps") + 2] == [str(2 * row["detours"])]
+    assert head[head.index("swaps") + 1] == "detours"
+
+
 def test_the_kinematic_team_is_the_same_whatever_flies_and_no_faster_than_it_may(tmp_path: Path) -> None:
     grid = "grid: {team.profile: [crazyflie, px4_quad]}\n"
     noise = "emulator: {noise: {position_m: 0.02}, link: {delay_s: 0.05}}\nset: {link_delay_s: 0.1}\n"

@@ -46,6 +46,7 @@ _COLUMNS = (
     ("median_slower", "of kinematic"),
     ("gridlocks", "gridlocks"),
     ("role_swaps", "swaps"),
+    ("detours", "detours"),
     ("errors", "errors"),
 )
 

@@ -44,6 +44,7 @@ SCHEMA = pa.schema(
         ("start_distance_m", _REAL),
         ("gridlocks", _WHOLE),
         ("role_swaps", _WHOLE),
+        ("detours", _WHOLE),
         ("setpoints", _WHOLE),
         ("ticks", _WHOLE),
         ("duration_s", _REAL),
