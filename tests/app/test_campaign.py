@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import shlex
 import signal
 import subprocess
@@ -22,10 +24,10 @@ from hypothesis import strategies as st
 from groundstation.app.campaign.cases import Case, Cases, scattered
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.campaign.report import to_markdown
-from groundstation.app.campaign.run import emulated, fly_case, lost_row
+from groundstation.app.campaign.run import _nothing_yet, emulated, fly_case, lost_row
 from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
 from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
-from groundstation.app.campaign.table import SCHEMA
+from groundstation.app.campaign.table import SCHEMA, Table
 from groundstation.app.campaign.vary import ExpectSpec, load_vary
 from groundstation.app.commands.campaign import _share
 from groundstation.app.resources import packaged_configs
@@ -338,6 +340,83 @@ def test_whatever_goes_wrong_in_a_run_becomes_a_row(tmp_path: Path, monkeypatch:
     assert row["error"].startswith("ZeroDivisionError: ")
     assert "test_campaign.py" in row["error"]
     assert set(lost_row(case, "gone")) == set(SCHEMA.names)
+
+
+IDENTITY = {"fingerprint": "f", "versions": {"gs": "1"}}
+
+
+def _table(folder: Path, *numbers: int, wall_s: float = 2.5) -> Table:
+    """A campaign of which some runs have finished and nothing was merged yet."""
+    table = Table(folder / "runs")
+    table.open(IDENTITY, resume=False)
+    blank = _nothing_yet(_case(table.folder, SHORT))
+    for number in numbers:
+        table.append([{**blank, "run": number, "wall_s": wall_s}])
+    return table
+
+
+def test_wall_times_that_are_gone_cost_no_run(tmp_path: Path) -> None:
+    table = _table(tmp_path, 0, 1)
+    table.merge()
+    table.times_path.unlink()
+    again = Table(table.folder)
+    assert again.open(IDENTITY, resume=True) == {0, 1}
+    again.append([{**again.merge()[0], "run": 2, "wall_s": 4.0}])
+    rows = again.merge()
+    assert [row["run"] for row in rows] == [0, 1, 2]
+    assert np.array_equal([row["wall_s"] for row in rows], [math.nan, math.nan, 4.0], equal_nan=True)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("merged", [False, True])
+@pytest.mark.parametrize("text", [None, "", "[]"])
+def test_rows_without_what_they_follow_from_are_not_taken_over(
+    tmp_path: Path, text: str | None, merged: bool, resume: bool
+) -> None:
+    table = _table(tmp_path, 0)
+    if merged:
+        table.merge()
+    path = table.folder / "campaign.json"
+    path.unlink()
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=r"campaign\.json.* follow from; give another folder"):
+        Table(table.folder).open({**IDENTITY, "fingerprint": "other"}, resume=resume)
+    assert (path.read_text(encoding="utf-8") if path.exists() else None) == text
+
+
+def test_a_table_of_other_columns_is_refused(tmp_path: Path) -> None:
+    table = _table(tmp_path, 0)
+    table.merge()
+    pq.write_table(pq.read_table(table.runs_path).drop_columns(["detours"]), table.runs_path)
+    with pytest.raises(UserError, match=r"runs\.parquet: has no column detours"):
+        Table(table.folder).open(IDENTITY, resume=True)
+
+
+@pytest.mark.parametrize("full", ["runs.parquet", "wall.parquet"])
+def test_a_disk_that_is_full_when_the_table_is_made_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: str
+) -> None:
+    table = _table(tmp_path, 0, 1)
+    there: list[Path] = []
+
+    def sync(number: int) -> None:
+        there.extend(table.folder.glob(".*.new"))
+        if there[-1].name == f".{full}.new":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("groundstation.app.campaign.table.os.fsync", sync)
+        with pytest.raises(UserError, match=r"No space left on device; all rows are in .*: make room, then --resume"):
+            table.merge()
+    assert there
+    assert not list(table.folder.glob(".*"))  # half a file is only in the way
+    again = Table(table.folder)
+    assert again.open(IDENTITY, resume=True) == {0, 1}
+    assert [row["wall_s"] for row in again.merge()] == [2.5, 2.5]
+    other = _table(tmp_path / "other", 1, 0)
+    other.merge()
+    assert again.runs_path.read_bytes() == other.runs_path.read_bytes()
 
 
 class _Future:
