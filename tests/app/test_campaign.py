@@ -20,10 +20,11 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from groundstation.app.campaign.cases import Case, Cases, scattered
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
-from groundstation.app.campaign.report import to_markdown
+from groundstation.app.campaign.report import _draw_distances, to_markdown
 from groundstation.app.campaign.run import _nothing_yet, emulated, fly_case, lost_row
 from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
 from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
@@ -506,6 +507,20 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     values = summarise(struck, [""], lambda run: f"again {run}")
     assert values["matrix"] == {"reboot": {"form": [1, 1], "land": [1, 2]}}
     assert "| reboot | 1 of 1 | 1 of 2 |" in to_markdown(values)
+
+
+def test_one_run_of_a_cell_shows_in_the_picture_of_distances(tmp_path: Path) -> None:
+    blank = {**_nothing_yet(_case(tmp_path, SHORT)), "safety_radius_m": 0.5}
+    rows = [{**blank, "run": run, "min_distance_m": value} for run, value in enumerate([0.6, 0.7, math.nan])]
+    groups = [([row], f"cell {row['run']}") for row in rows]
+    axes = Figure().add_subplot()
+    _draw_distances(axes, groups, {})
+    drawn = {str(line.get_label()): np.array(line.get_xydata()) for line in axes.get_lines()}
+    assert list(drawn) == ["cell 0 (least 1.200)", "cell 1 (least 1.400)", "r"]
+    assert drawn["cell 0 (least 1.200)"].tolist() == [[1.2, 0.0], [1.2, 1.0]]
+    axes = Figure().add_subplot()
+    _draw_distances(axes, [([rows[0], {**rows[0], "min_distance_m": 0.55}], "both")], {})
+    assert np.array(axes.get_lines()[0].get_xydata()).tolist() == [[1.1, 0.0], [1.1, 0.5], [1.2, 1.0]]
 
 
 @pytest.mark.parametrize(
