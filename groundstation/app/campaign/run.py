@@ -82,11 +82,6 @@ def fly_case(case: Case, log: Path | None = None) -> Row:
     return row
 
 
-def lost_row(case: Case, why: str) -> Row:
-    """The row of a run whose worker did not come back."""
-    return _nothing_yet(case) | {"error": why}
-
-
 def _nothing_yet(case: Case) -> Row:
     nan = math.nan
     return {
