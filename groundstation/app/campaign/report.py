@@ -69,7 +69,10 @@ def write_summary(folder: Path, title: str, rows: Sequence[Row], values: Mapping
         pictures = draw(folder, rows, values) if rows else []
         (folder / "index.html").write_text(_page(title, values, pictures), encoding="utf-8")
     except OSError as error:
-        raise UserError(f"{error.filename or folder}: cannot write the summary: {error.strerror or error}") from None
+        raise UserError(
+            f"{error.filename or folder}: cannot write the summary: {error.strerror or error}; "
+            "all rows are in the table: make room, then --resume"
+        ) from None
 
 
 def lines(values: Mapping[str, Any]) -> list[list[str]]:

@@ -130,8 +130,8 @@ class DaskFlyer:
         """
         try:
             return sum(self._client.nthreads().values())
-        except OSError as error:
-            raise UserError(f"the scheduler {self._where} is gone: {error}; start it again, then --resume") from None
+        except OSError:
+            raise UserError(f"the scheduler {self._where} is gone; start it again, then --resume") from None
 
 
 def _why(error: Exception) -> str:
@@ -215,8 +215,8 @@ def dask_flyer(address: str | None, workers: int | None, tell: Callable[[str], N
 
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_QUIET))
-        for name in ("distributed", "distributed.worker", "distributed.nanny", "distributed.scheduler"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
+        for name in ("", ".client", ".worker", ".nanny", ".scheduler"):
+            logging.getLogger(f"distributed{name}").setLevel(logging.CRITICAL)
         if address is None:
             # Whoever ignores Ctrl-C hands that down: the workers go on until this process ends them.
             before = signal.signal(signal.SIGINT, signal.SIG_IGN)
