@@ -178,7 +178,7 @@ def test_upright_regions_are_judged_in_their_own_norm(tmp_path: Path) -> None:
 
 
 GRIDLOCKED = """
-limit_s: 40
+limit_s: 20
 settle_s: 0
 set:
   assignment: fixed
@@ -522,7 +522,7 @@ def test_a_run_whose_worker_died_is_not_flown_and_resume_flies_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _written(tmp_path / "vary.yaml", SHORT)
+    _written(tmp_path / "vary.yaml", "limit_s: 1\nsettle_s: 0\n")
     common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--runs", "3", "--json"]
 
     def dies(case: Case) -> dict[str, Any]:
