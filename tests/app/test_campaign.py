@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import shlex
 import signal
 import subprocess
@@ -13,21 +15,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import dask
+import distributed
 import numpy as np
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
+from distributed.comm.core import CommClosedError
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
+from groundstation.app.campaign import report
 from groundstation.app.campaign.cases import Case, Cases, scattered
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
-from groundstation.app.campaign.report import to_markdown
-from groundstation.app.campaign.run import emulated, fly_case, lost_row
-from groundstation.app.campaign.spread import DaskFlyer, Interrupted, spread
+from groundstation.app.campaign.report import _draw_distances, to_markdown
+from groundstation.app.campaign.run import _nothing_yet, emulated, fly_case
+from groundstation.app.campaign.spread import DaskFlyer, Interrupted, Lost, fly_timed, spread
 from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
-from groundstation.app.campaign.table import SCHEMA
+from groundstation.app.campaign.table import SCHEMA, Table
 from groundstation.app.campaign.vary import ExpectSpec, load_vary
-from groundstation.app.commands.campaign import _share
+from groundstation.app.commands.campaign import _lost, _share
 from groundstation.app.resources import packaged_configs
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
@@ -132,8 +139,6 @@ cli.main()
 def test_any_scheduler_by_its_address(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import distributed
-
     monkeypatch.chdir(tmp_path)
     _written(tmp_path / "vary.yaml", SHORT)
     common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--runs", "3"]
@@ -170,6 +175,34 @@ def test_upright_regions_are_judged_in_their_own_norm(tmp_path: Path) -> None:
     assert row["error"] == ""
     assert row["success"]
     assert 1.0 <= row["min_clearance"] < row["min_obedient_m"] / 0.5
+
+
+GRIDLOCKED = """
+limit_s: 20
+settle_s: 0
+set:
+  assignment: fixed
+  role_swaps: false
+  avoidance.radius_m: 0.8
+  avoidance.activation_m: 0.85
+  vehicles.0.pad_m: [0, 1, 0]
+  vehicles.7.pad_m: [-1, -1, 0]
+  vehicles.1.pad_m: [1, 0, 0]
+  vehicles.5.pad_m: [0, -1, 0]
+"""
+
+
+def test_detours_are_counted_beside_gridlocks_and_swaps(tmp_path: Path) -> None:
+    row = fly_case(_case(tmp_path, GRIDLOCKED))
+    assert row["error"] == ""
+    assert (row["gridlocks"] > 0, row["role_swaps"], row["detours"] > 0) == (True, 0, True)
+    values = summarise([row, {**row, "run": 1}], [""], lambda run: f"again {run}")
+    assert values["detours"] == 2 * row["detours"]
+    head, _, line = (
+        [cell.strip() for cell in text.strip("|").split("|")] for text in to_markdown(values).splitlines()[:3]
+    )
+    assert line[head.index("swaps") + 1 : head.index("swaps") + 2] == [str(2 * row["detours"])]
+    assert head[head.index("swaps") + 1] == "detours"
 
 
 def test_the_kinematic_team_is_the_same_whatever_flies_and_no_faster_than_it_may(tmp_path: Path) -> None:
@@ -309,7 +342,83 @@ def test_whatever_goes_wrong_in_a_run_becomes_a_row(tmp_path: Path, monkeypatch:
     row = fly_case(case)
     assert row["error"].startswith("ZeroDivisionError: ")
     assert "test_campaign.py" in row["error"]
-    assert set(lost_row(case, "gone")) == set(SCHEMA.names)
+
+
+IDENTITY = {"fingerprint": "f", "versions": {"gs": "1"}}
+
+
+def _table(folder: Path, *numbers: int, wall_s: float = 2.5) -> Table:
+    """A campaign of which some runs have finished and nothing was merged yet."""
+    table = Table(folder / "runs")
+    table.open(IDENTITY, resume=False)
+    blank = _nothing_yet(_case(table.folder, SHORT))
+    for number in numbers:
+        table.append([{**blank, "run": number, "wall_s": wall_s}])
+    return table
+
+
+def test_wall_times_that_are_gone_cost_no_run(tmp_path: Path) -> None:
+    table = _table(tmp_path, 0, 1)
+    table.merge()
+    table.times_path.unlink()
+    again = Table(table.folder)
+    assert again.open(IDENTITY, resume=True) == {0, 1}
+    again.append([{**again.merge()[0], "run": 2, "wall_s": 4.0}])
+    rows = again.merge()
+    assert [row["run"] for row in rows] == [0, 1, 2]
+    assert np.array_equal([row["wall_s"] for row in rows], [math.nan, math.nan, 4.0], equal_nan=True)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("merged", [False, True])
+@pytest.mark.parametrize("text", [None, "", "[]"])
+def test_rows_without_what_they_follow_from_are_not_taken_over(
+    tmp_path: Path, text: str | None, merged: bool, resume: bool
+) -> None:
+    table = _table(tmp_path, 0)
+    if merged:
+        table.merge()
+    path = table.folder / "campaign.json"
+    path.unlink()
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=r"campaign\.json.* follow from; give another folder"):
+        Table(table.folder).open({**IDENTITY, "fingerprint": "other"}, resume=resume)
+    assert (path.read_text(encoding="utf-8") if path.exists() else None) == text
+
+
+def test_a_table_of_other_columns_is_refused(tmp_path: Path) -> None:
+    table = _table(tmp_path, 0)
+    table.merge()
+    pq.write_table(pq.read_table(table.runs_path).drop_columns(["detours"]), table.runs_path)
+    with pytest.raises(UserError, match=r"runs\.parquet: has no column detours"):
+        Table(table.folder).open(IDENTITY, resume=True)
+
+
+@pytest.mark.parametrize("full", ["runs.parquet", "wall.parquet"])
+def test_a_disk_that_is_full_when_the_table_is_made_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: str
+) -> None:
+    table = _table(tmp_path, 0, 1)
+    there: list[Path] = []
+
+    def sync(number: int) -> None:
+        there.extend(table.folder.glob(".*.new"))
+        if there[-1].name == f".{full}.new":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("groundstation.app.campaign.table.os.fsync", sync)
+        with pytest.raises(UserError, match=r"No space left on device; all rows are in .*: make room, then --resume"):
+            table.merge()
+    assert there
+    assert not list(table.folder.glob(".*"))  # half a file is only in the way
+    again = Table(table.folder)
+    assert again.open(IDENTITY, resume=True) == {0, 1}
+    assert [row["wall_s"] for row in again.merge()] == [2.5, 2.5]
+    other = _table(tmp_path / "other", 1, 0)
+    other.merge()
+    assert again.runs_path.read_bytes() == other.runs_path.read_bytes()
 
 
 class _Future:
@@ -328,6 +437,9 @@ class _Future:
         pass
 
 
+WORKER: Any = None
+
+
 class _Client:
     def __init__(self) -> None:
         self.asked: list[int] = []
@@ -338,17 +450,23 @@ class _Client:
     def submit(self, _function: Any, case: Case, *, pure: bool) -> _Future:
         assert not pure
         self.asked.append(case.run)
-        return _Future(RuntimeError("KilledWorker") if case.run == 2 else {"run": case.run})
+        killed = distributed.KilledWorker("fly_timed-5f1e", last_worker=WORKER, allowed_failures=3)
+        return _Future({2: killed, 4: ImportError("no such thing")}.get(case.run, {"run": case.run}))
 
 
-def test_a_lost_worker_costs_one_row_and_an_interrupt_no_row(tmp_path: Path) -> None:
+def test_a_lost_worker_makes_no_row_and_an_interrupt_costs_none(tmp_path: Path) -> None:
     case = _case(tmp_path, SHORT)
     client, interrupted = _Client(), Interrupted()
     rows: list[dict[str, Any]] = []
+    told: list[str] = []
     cases: Iterator[Case] = (replace(case, run=run) for run in range(7))
-    spread(cases, DaskFlyer(client), rows.extend, interrupted)
-    assert sorted(row["run"] for row in rows) == list(range(7))
-    assert [row["error"] for row in rows if row["run"] == 2] == ["RuntimeError: KilledWorker"]
+    lost = spread(cases, DaskFlyer(client, "here", told.append), rows.extend, interrupted)
+    assert sorted(row["run"] for row in rows) == [0, 1, 3, 5, 6]
+    assert lost == [Lost(2, "4 workers died with it"), Lost(4, "ImportError: no such thing")]
+    assert (
+        _lost(lost, 7) == "2 of 7 runs were not flown (run 2: 4 workers died with it); --resume flies what is missing"
+    )
+    assert told == []
 
     client = _Client()
     rows.clear()
@@ -357,16 +475,114 @@ def test_a_lost_worker_costs_one_row_and_an_interrupt_no_row(tmp_path: Path) -> 
         rows.extend(more)
         interrupted.asked = True
 
-    spread((replace(case, run=run) for run in range(1000)), DaskFlyer(client), keep, interrupted)
+    spread((replace(case, run=run) for run in range(1000)), DaskFlyer(client, "here", told.append), keep, interrupted)
     assert len(rows) >= 1
     assert max(client.asked) < 10
+
+
+class _Deserted(_Client):
+    """Its only worker comes and goes, then its scheduler."""
+
+    def __init__(self, there: list[bool]) -> None:
+        super().__init__()
+        self._there = there
+
+    def add_done_callback(self, call: Any) -> None:
+        """Nothing is ever flown here."""
+
+    def nthreads(self) -> dict[str, int]:
+        if not self._there:
+            raise CommClosedError("connection reset by peer")
+        if self._there.pop(0):
+            return {"a": 1}
+        return {}
+
+    def submit(self, _function: Any, case: Case, *, pure: bool) -> Any:
+        return self
+
+
+def test_a_campaign_without_workers_tells_so_and_waits_until_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("groundstation.app.campaign.spread._LOOK_S", 0.0)
+    case = _case(tmp_path, SHORT)
+    told: list[str] = []
+    flyer = DaskFlyer(_Deserted([True, True, False, False, False, True, True, False]), "at tcp://far:1", told.append)
+    assert flyer.room > 0
+    flyer.submit(case)
+    for _ in range(7):
+        assert flyer.wait() == []
+    gone = "no workers at tcp://far:1; waiting for one (Ctrl-C stops, --resume goes on)"
+    assert told == [gone, "there are workers at tcp://far:1 again", gone]
+    with pytest.raises(UserError, match=r"the scheduler at tcp://far:1 is gone; start it again, then --resume"):
+        flyer.wait()
+
+
+def test_a_run_whose_worker_died_is_not_flown_and_resume_flies_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _written(tmp_path / "vary.yaml", "limit_s: 1\nsettle_s: 0\n")
+    common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--runs", "3", "--json"]
+
+    def dies(case: Case) -> dict[str, Any]:
+        if case.run == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return fly_timed(case)
+
+    with monkeypatch.context() as patched, dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        patched.setattr("groundstation.app.campaign.spread.fly_timed", dies)
+        code, out, err = gs([*common, "--workers", "1", "-o", "died"], monkeypatch, capsys)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["runs"], values["not_flown"], values["errors"]) == (1, 2, 1, 0)
+    assert "1 of 3 runs was not flown (run 1: its worker died); --resume flies what is missing" in err
+    assert [row["run"] for row in pq.read_table("died/runs.parquet").to_pylist()] == [0, 2]
+    code, out, _ = gs([*common, "--workers", "0", "-o", "died", "--resume"], monkeypatch, capsys)
+    assert (code, json.loads(out.splitlines()[-1])["not_flown"]) == (0, 0)
+    code, _, _ = gs([*common, "--workers", "0", "-o", "whole"], monkeypatch, capsys)
+    assert code == 0
+    assert (tmp_path / "died/runs.parquet").read_bytes() == (tmp_path / "whole/runs.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_table_is_made_leaves_no_folder_without_a_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _written(tmp_path / "vary.yaml", "limit_s: 1\nsettle_s: 0\n")
+    command = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--workers", "0", "-o", "runs"]
+    before = [signal.getsignal(taken) for taken in (signal.SIGINT, signal.SIGTERM)]
+    merge, draw = Table.merge, report.draw
+    struck: list[str] = []
+
+    def merge_struck(table: Table) -> list[dict[str, Any]]:
+        assert signal.getsignal(number) not in before
+        struck.append("merge")
+        os.kill(os.getpid(), number)
+        return merge(table)
+
+    def draw_struck(*arguments: Any) -> Any:
+        assert signal.getsignal(number) not in before
+        struck.append("draw")
+        os.kill(os.getpid(), number)
+        return draw(*arguments)
+
+    monkeypatch.setattr(Table, "merge", merge_struck)
+    monkeypatch.setattr(report, "draw", draw_struck)
+    for extra in ([], ["--resume"]):  # after flying, and where nothing is left to be flown
+        (tmp_path / "runs" / "index.html").unlink(missing_ok=True)
+        code, _, _ = gs([*command, *extra], monkeypatch, capsys)
+        assert code == 0  # all runs were made
+        assert (tmp_path / "runs" / "index.html").stat().st_size > 0
+    assert struck == ["merge", "draw"] * 2
+    assert [signal.getsignal(taken) for taken in (signal.SIGINT, signal.SIGTERM)] == before
 
 
 def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> None:
     assert interval(1000, 1000)[0] == pytest.approx(0.025 ** (1 / 1000))
     assert interval(1000, 1000)[1] == 1.0
     assert interval(0, 10)[1] == pytest.approx(1 - 0.025**0.1)
-    blank = lost_row(_case(tmp_path, SHORT), "")
+    blank = _nothing_yet(_case(tmp_path, SHORT))
     good = {**blank, "success": True, "formed": True, "safe": True, "ended_safely": True, "outcome": "completed",
             "min_distance_m": 0.6, "min_obedient_m": 0.6, "safety_radius_m": 0.45, "min_clearance": 1.33,
             "time_to_form_s": 5.0, "kinematic_time_to_form_s": 2.0}  # fmt: skip
@@ -399,6 +615,20 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     values = summarise(struck, [""], lambda run: f"again {run}")
     assert values["matrix"] == {"reboot": {"form": [1, 1], "land": [1, 2]}}
     assert "| reboot | 1 of 1 | 1 of 2 |" in to_markdown(values)
+
+
+def test_one_run_of_a_cell_shows_in_the_picture_of_distances(tmp_path: Path) -> None:
+    blank = {**_nothing_yet(_case(tmp_path, SHORT)), "safety_radius_m": 0.5}
+    rows = [{**blank, "run": run, "min_distance_m": value} for run, value in enumerate([0.6, 0.7, math.nan])]
+    groups = [([row], f"cell {row['run']}") for row in rows]
+    axes = Figure().add_subplot()
+    _draw_distances(axes, groups, {})
+    drawn = {str(line.get_label()): np.array(line.get_xydata()) for line in axes.get_lines()}
+    assert list(drawn) == ["cell 0 (least 1.200)", "cell 1 (least 1.400)", "r"]
+    assert drawn["cell 0 (least 1.200)"].tolist() == [[1.2, 0.0], [1.2, 1.0]]
+    axes = Figure().add_subplot()
+    _draw_distances(axes, [([rows[0], {**rows[0], "min_distance_m": 0.55}], "both")], {})
+    assert np.array(axes.get_lines()[0].get_xydata()).tolist() == [[1.1, 0.0], [1.1, 0.5], [1.2, 1.0]]
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ _COLUMNS = (
     ("median_slower", "of kinematic"),
     ("gridlocks", "gridlocks"),
     ("role_swaps", "swaps"),
+    ("detours", "detours"),
     ("errors", "errors"),
 )
 
@@ -68,7 +69,10 @@ def write_summary(folder: Path, title: str, rows: Sequence[Row], values: Mapping
         pictures = draw(folder, rows, values) if rows else []
         (folder / "index.html").write_text(_page(title, values, pictures), encoding="utf-8")
     except OSError as error:
-        raise UserError(f"{error.filename or folder}: cannot write the summary: {error.strerror or error}") from None
+        raise UserError(
+            f"{error.filename or folder}: cannot write the summary: {error.strerror or error}; "
+            "all rows are in the table: make room, then --resume"
+        ) from None
 
 
 def lines(values: Mapping[str, Any]) -> list[list[str]]:
@@ -217,12 +221,14 @@ def _draw_distances(axes: Axes, groups: Sequence[tuple[list[Row], str]], values:
         if ratio:
             ordered = np.sort(ratio)
             lowest = min(lowest, float(ordered[0]))
-            axes.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), where="post", lw=1.8,
+            share = np.arange(len(ordered) + 1) / len(ordered)  # from 0, so that one run is a line too
+            axes.step(np.concatenate([ordered[:1], ordered]), share, where="post", lw=1.8,
+                      marker="o" if len(ordered) == 1 else None, markevery=[-1],
                       color=_colour(number, len(groups)), label=f"{name} (least {ordered[0]:.3f})")  # fmt: skip
     axes.axvline(1.0, color=RED, lw=2, label="r")
     axes.set_xlabel("smallest true distance of a run, over r")
     axes.set_ylabel("share of runs")
-    axes.set_ylim(0, 1.02)
+    axes.set_ylim(0, 1.04)
     axes.set_xlim(left=max(lowest - 0.05, 0.0))
     _beside(axes)
     del values

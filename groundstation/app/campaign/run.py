@@ -82,11 +82,6 @@ def fly_case(case: Case, log: Path | None = None) -> Row:
     return row
 
 
-def lost_row(case: Case, why: str) -> Row:
-    """The row of a run whose worker did not come back."""
-    return _nothing_yet(case) | {"error": why}
-
-
 def _nothing_yet(case: Case) -> Row:
     nan = math.nan
     return {
@@ -112,6 +107,7 @@ def _nothing_yet(case: Case) -> Row:
         "start_distance_m": nan,
         "gridlocks": 0,
         "role_swaps": 0,
+        "detours": 0,
         "setpoints": 0,
         "ticks": 0,
         "duration_s": nan,
@@ -287,6 +283,7 @@ class _Flown:
             "start_distance_m": float(pads[np.triu_indices(plan.size, 1)].min()),
             "gridlocks": int(figures.gridlocks),
             "role_swaps": int(figures.role_swaps),
+            "detours": int(figures.detours),
             "setpoints": int(runner.setpoints_sent),
             "ticks": int(figures.ticks),
             "duration_s": float(figures.flight_time_s),

@@ -68,6 +68,7 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "errors": sum(bool(row["error"]) for row in rows),
         "gridlocks": sum(row["gridlocks"] for row in rows),
         "role_swaps": sum(row["role_swaps"] for row in rows),
+        "detours": sum(row["detours"] for row in rows),
         "runs_with_gridlocks": sum(row["gridlocks"] > 0 for row in rows),
     }
     struck = [row for row in rows if row["faults"]]

@@ -11,6 +11,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ SCHEMA = pa.schema(
         ("start_distance_m", _REAL),
         ("gridlocks", _WHOLE),
         ("role_swaps", _WHOLE),
+        ("detours", _WHOLE),
         ("setpoints", _WHOLE),
         ("ticks", _WHOLE),
         ("duration_s", _REAL),
@@ -96,7 +98,7 @@ class Table:
         """
         try:
             self._parts.mkdir(parents=True, exist_ok=True)
-            if self._identity_path.exists() and (self.runs_path.exists() or self._part_paths()):
+            if self.runs_path.exists() or self._part_paths():
                 self._check(identity, resume=resume)
             self._replace(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
         except OSError as error:
@@ -108,10 +110,22 @@ class Table:
         return {row["run"] for row in self._rows(["run"])}
 
     def _check(self, identity: Mapping[str, Any], *, resume: bool) -> None:
+        """Refuses to put rows to those that are there unless both follow from the same."""
+        name = self._identity_path.name
         try:
             there = json.loads(self._identity_path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise UserError(
+                f"{self.folder}: holds rows but no {name}, so that nobody can tell what they follow from; "
+                f"give another folder, or put {name} back"
+            ) from None
         except ValueError:
-            there = {}
+            there = None
+        if not isinstance(there, dict):
+            raise UserError(
+                f"{self.folder}: {name} cannot be read, so that nobody can tell what the rows follow from; "
+                f"give another folder, or put {name} back"
+            )
         if not resume:
             raise UserError(f"{self.folder}: holds a campaign already; go on with --resume, or give another folder")
         for key in ("fingerprint", "versions"):
@@ -135,26 +149,44 @@ class Table:
             raise UserError(f"{path}: cannot be written: {error.strerror or error}; make room, then --resume") from None
 
     def merge(self) -> list[dict[str, Any]]:
-        """Puts all rows into one table, sorted by run, and returns them; NaN stays NaN."""
+        """Puts all rows into one table, sorted by run, and returns them; NaN stays NaN.
+
+        Parts are removed once all that they hold is in the tables.
+
+        Raises:
+            UserError: the tables cannot be written; the rows are still where they were.
+        """
         rows = sorted(self._rows(None), key=lambda row: int(row["run"]))
         unique = list({row["run"]: row for row in rows}.values())
         if unique:
             whole = pa.Table.from_pylist(unique, schema=_PART)
-            self._write(self.runs_path, whole.select(SCHEMA.names).cast(SCHEMA))
-            self._write(self.times_path, whole.select(_TIMES.names).cast(_TIMES))
-            for path in self._part_paths():
-                path.unlink()
+            try:
+                self._write(self.runs_path, whole.select(SCHEMA.names).cast(SCHEMA))
+                self._write(self.times_path, whole.select(_TIMES.names).cast(_TIMES))
+                for path in self._part_paths():
+                    path.unlink()
+            except OSError as error:
+                raise UserError(
+                    f"{self.runs_path}: cannot be written: {error.strerror or error}; "
+                    f"all rows are in {self.folder}: make room, then --resume"
+                ) from None
         return unique
 
     def _rows(self, columns: list[str] | None) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = []
-        if self.runs_path.exists() and self.times_path.exists():
-            merged = _read(self.runs_path, columns)
-            times = {row["run"]: row["wall_s"] for row in _read(self.times_path, None)}
+        if self.runs_path.exists():
+            merged = _read(self.runs_path, SCHEMA, columns)
+            times = self._times() if columns is None else {}
             rows += [{**row, "wall_s": times.get(row["run"], math.nan)} for row in merged]
         for path in self._part_paths():
-            rows += _read(path, columns)
+            rows += _read(path, _PART, columns)
         return rows
+
+    def _times(self) -> dict[int, float]:
+        """Wall times by run; none where their table is gone, which costs no run."""
+        if not self.times_path.exists():
+            return {}
+        return {row["run"]: row["wall_s"] for row in _read(self.times_path, _TIMES, None)}
 
     def _part_paths(self) -> list[Path]:
         return sorted(self._parts.glob("part-*.parquet"))
@@ -168,16 +200,26 @@ class Table:
     def _replace(path: Path, data: bytes) -> None:
         """Writes a file so that there is always a whole one, also after a power cut."""
         new = path.with_name(f".{path.name}.new")
-        with new.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(path)
+        try:
+            with new.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(path)
+        except OSError:
+            with suppress(OSError):
+                new.unlink(missing_ok=True)  # half a file on a full disk is only in the way
+            raise
 
 
-def _read(path: Path, columns: list[str] | None) -> list[dict[str, Any]]:
+def _read(path: Path, schema: pa.Schema, columns: list[str] | None) -> list[dict[str, Any]]:
+    """Reads a table that has at least the columns of a schema."""
+    remedy = "--resume then goes on without its times" if schema is _TIMES else "--resume then flies its runs again"
     try:
+        missing = [name for name in schema.names if name not in pq.read_schema(path).names]
+        if missing:
+            raise UserError(f"{path}: has no column {missing[0]}: not of this version; move it away, {remedy}")
         rows: list[dict[str, Any]] = pq.read_table(path, columns=columns).to_pylist()
     except (OSError, pa.ArrowException) as error:
-        raise UserError(f"{path}: cannot be read: {error}; move it away, --resume then flies its runs again") from None
+        raise UserError(f"{path}: cannot be read: {error}; move it away, {remedy}") from None
     return rows

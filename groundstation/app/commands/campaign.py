@@ -6,7 +6,8 @@ import itertools
 import math
 import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.report import write_summary
 from groundstation.app.campaign.run import Row, fly_case
-from groundstation.app.campaign.spread import Interrupted, dask_flyer, spread
+from groundstation.app.campaign.spread import Interrupted, Lost, dask_flyer, spread
 from groundstation.app.campaign.summary import below_r, missed, summarise
 from groundstation.app.campaign.table import Table
 from groundstation.app.campaign.vary import Vary, load_vary
@@ -85,18 +86,6 @@ def campaign(
     todo = [run for run in range(count) if run not in there]
     _announce(out, varied, count, len(todo))
     interrupted = Interrupted()
-    if todo:
-        _fly_all(
-            out,
-            cases,
-            todo,
-            table,
-            interrupted=interrupted,
-            scheduler=scheduler,
-            workers=workers,
-            done=count - len(todo),
-        )
-    rows = [row for row in table.merge() if row["run"] < count]
 
     def command(run: int) -> str:
         parts = ["gs", "campaign", "--seed", str(seed)]
@@ -105,15 +94,36 @@ def campaign(
         parts += [part for change in changes or () for part in ("--set", change)]
         return shlex.join([*parts, "--only", str(run), "--log", f"run-{run}.tlog"])
 
-    values = summarise(rows, [cell.name for cell in varied.cells], command)
-    values |= {"table": str(table.runs_path), "interrupted": interrupted.asked, "seed": seed}
-    write_summary(out_dir, f"{path.stem}: {len(rows)} runs", rows, values)
+    lost: list[Lost] = []
+    with ExitStack() as deaf:  # from the first run on until the summary is written Ctrl-C is only taken note of
+        if todo:
+            lost = _fly_all(
+                out,
+                cases,
+                todo,
+                table,
+                interrupted=interrupted,
+                deaf=deaf,
+                scheduler=scheduler,
+                workers=workers,
+                done=count - len(todo),
+            )
+        else:
+            deaf.enter_context(interrupted.listening())
+        rows = [row for row in table.merge() if row["run"] < count]
+        stopped = interrupted.asked and len(rows) + len(lost) < count
+        values = summarise(rows, [cell.name for cell in varied.cells], command)
+        values |= {"table": str(table.runs_path), "interrupted": stopped, "not_flown": count - len(rows), "seed": seed}
+        title = f"{path.stem}: {len(rows)} runs"
+        write_summary(out_dir, title if len(rows) == count else f"{title} of {count}", rows, values)
     _tell(out, values, out_dir)
     wanting = missed(values, varied.spec.expect)
     values["missed"] = wanting
     out.result(values)
-    if interrupted.asked:
-        raise MissionFailed(f"stopped after {len(rows)} of {count} runs; go on with --resume")
+    if stopped:
+        wanting = [f"stopped after {len(rows)} of {count} runs; go on with --resume"]
+    elif lost:
+        wanting = [_lost(lost, count), *wanting]
     if wanting:
         raise MissionFailed("; ".join(wanting))
 
@@ -152,11 +162,15 @@ def _fly_all(
     table: Table,
     *,
     interrupted: Interrupted,
+    deaf: ExitStack,
     scheduler: str | None,
     workers: int | None,
     done: int,
-) -> None:
-    """Flies what is missing; whatever happens, rows that came back are in the table."""
+) -> list[Lost]:
+    """Flies what is missing; whatever happens, rows that came back are in the table.
+
+    Returns what was lost. Ctrl-C is heard by ``interrupted`` until ``deaf`` closes.
+    """
     waiting: list[Row] = []
     flushed_s = time.monotonic()
     counts = {"not formed": 0, "below r": 0, "errors": 0}
@@ -187,10 +201,28 @@ def _fly_all(
             flushed_s = time.monotonic()
 
     try:
-        with dask_flyer(scheduler, workers) as flyer, interrupted.listening(), progress:
-            spread(map(cases.case, itertools.chain(todo)), flyer, keep, interrupted)
+        with dask_flyer(scheduler, workers, out.console.print) as flyer, progress:
+            deaf.enter_context(interrupted.listening())
+            lost = spread(map(cases.case, itertools.chain(todo)), flyer, keep, interrupted)
+            if lost:  # perhaps only with a worker that another run had killed, so that each gets one more chance alone
+                out.console.print(f"{len(lost)} lost with their workers; flying them once more, one at a time")
+                lost = [
+                    again for one in lost for again in spread(iter([cases.case(one.run)]), flyer, keep, interrupted)
+                ]
+        if interrupted.asked:
+            out.console.print("stopping: table and summary of the runs that are there")
+        return lost
     finally:
         table.append(waiting)
+
+
+def _lost(lost: Sequence[Lost], count: int) -> str:
+    """How many runs were not flown, in words; why the first of them was not."""
+    first = min(lost, key=lambda item: item.run)
+    were = "was" if len(lost) == 1 else "were"
+    return (
+        f"{len(lost)} of {count} runs {were} not flown (run {first.run}: {first.why}); --resume flies what is missing"
+    )
 
 
 def _fly_one(out: Output, cases: Cases, run: int, log: Path | None) -> None:
@@ -229,9 +261,9 @@ def _tell(out: Output, values: Mapping[str, Any], folder: Path) -> None:
         listing.add_row(
             cell["cell"],
             str(cell["runs"]),
-            f"{100 * cell['success_rate']:.3g} % ({low}-{high})",
-            f"{100 * cell['formed_rate']:.3g} %",
-            f"{100 * cell['safe_rate']:.3g} %",
+            f"{_figure(100 * cell['success_rate'], '%')} ({low}-{high})",
+            _figure(100 * cell["formed_rate"], "%"),
+            _figure(100 * cell["safe_rate"], "%"),
             str(cell["below_r"]),
             _figure(cell["median_time_to_form_s"], "s"),
             _figure(cell["min_distance_m"], "m"),
