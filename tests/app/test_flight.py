@@ -18,7 +18,7 @@ from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
 from groundstation.mission.guidance import Guide, Poses, Setpoints
-from groundstation.mission.monitor import Monitor
+from groundstation.mission.monitor import Findings, Monitor, Sight
 from groundstation.mission.runner import Phase, Runner
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, cube8, pair
@@ -320,6 +320,29 @@ def test_a_desk_that_fails_is_told_once_and_costs_nobody_a_tick() -> None:
     told = [note.text for note in session.take_notes() if "RuntimeError" in note.text]
     assert told == ["fault in the ground station, Broken: RuntimeError: made up; the flight goes on"] * 2
     assert session.runner.outcome == "completed"
+
+
+def test_a_takeoff_that_takes_too_long_is_given_up() -> None:
+    flight = Flight(pair("takeoff.timeout_s=1"))
+    assert flight.runner.reason.startswith("takeoff not finished after 1 s: vehicle ")
+    assert Phase.FORM not in flight.phase_seen
+    assert _all_down(flight)
+
+
+def test_a_stream_that_would_flicker_is_ended_and_the_failsafe_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = Monitor.look
+
+    def look(self: Monitor, sight: Sight) -> Findings:
+        findings = sound(self, sight)
+        if sight.now_ns > 15 * SECOND_NS:
+            findings.silence = "setpoints end, made up"
+        return findings
+
+    monkeypatch.setattr(Monitor, "look", look)
+    flight = Flight(pair("failsafe.hold_s=10"), limit_s=400.0)
+    assert flight.phase_seen[-2:] == [Phase.SILENT, Phase.DONE]
+    assert flight.runner.reason.startswith("setpoints end, made up")
+    assert _all_down(flight)
 
 
 @pytest.mark.parametrize("broken", ["trusted", "look", "obstacles"])

@@ -207,12 +207,17 @@ def test_the_battery_of_one_that_has_landed_holds_up_nobody() -> None:
         if flight.runner.phase is Phase.FORM and not drained:
             flight.world.autopilots[1].battery.left = 0.15
             drained.append(True)
+        if any("battery at 1" in text for text in flight.texts("alarm")):
+            flight.world.autopilots[1].battery.left = min(flight.world.autopilots[1].battery.left, 0.09)
         return holds(flight)
 
     drained: list[bool] = []
     holds = _says((_one_is_down, "hold"), (after(Phase.PAUSE, 2.0), "resume"))
     flight = Flight(four("on_lost=continue_open", "steps.1.hold.seconds=25"), interrupt_when=look)
     assert "vehicle 2: battery at 1" in flight.runner.reason
+    assert "vehicle 2: battery at 9%, lands below 10%; it lands where it is when nobody is below, the others go on" in (
+        flight.texts("alarm")
+    )
     assert not [text for text in flight.texts("alarm") if "refused" in text or "the hold is over" in text]
     where = flight.phase_seen.index(Phase.PAUSE)
     assert flight.phase_seen[where + 1 :] == [Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]
@@ -229,6 +234,23 @@ def test_one_that_is_lost_during_a_hold_costs_the_others_none_of_their_time_to_f
     assert flight.runner.reason == "vehicle 4: landed by the operator"
     where = flight.phase_seen.index(Phase.PAUSE)
     assert flight.phase_seen[where + 1 :] == [Phase.FORM, Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]
+    _safe(flight)
+
+
+def test_a_hold_in_which_everybody_is_landed_one_by_one_ends_on_the_ground() -> None:
+    says = _says((after(Phase.HOLD), "hold"), (after(Phase.PAUSE, 1.0), "land 1"), (after(Phase.PAUSE, 2.0), "land 2"))
+    flight = Flight(pair(), interrupt_when=says)
+    assert flight.phase_seen[-4:] == [Phase.HOLD, Phase.PAUSE, Phase.LAND, Phase.DONE]
+    assert flight.runner.reason == "vehicle 1: landed by the operator; vehicle 2: landed by the operator"
+    _safe(flight)
+
+
+def test_a_team_too_small_to_go_on_without_one_comes_back() -> None:
+    flight = Flight(pair("on_lost=continue_open"), interrupt_when=_says((after(Phase.FORM), "land 1")))
+    assert flight.runner.reason.startswith(
+        "vehicle 1: landed by the operator; 1 of 2 vehicles are left in the formation"
+    )
+    assert flight.phase_seen[-3:] == [Phase.RETURN, Phase.LAND, Phase.DONE]
     _safe(flight)
 
 
