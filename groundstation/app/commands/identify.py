@@ -18,6 +18,8 @@ from groundstation.records.manifest import manifest_beside
 from groundstation.records.responses import load_motions
 
 _DIRECTIONS = ("east", "north", "up")
+DELAY_SHARE_MAX = 0.4
+"""Share of t63 from which on a delay is worth a word: profiles that come along have a fifth at most."""
 
 
 def identify(
@@ -44,11 +46,16 @@ def identify(
             table.add_row(str(motion.sysid), name, *_cells(axes[name]))
             if axes[name].problem:
                 problems[f"vehicle {motion.sysid}, {name}: {axes[name].problem}"] = None
-        vehicles.append({"id": motion.sysid, "profile": profile_of.get(motion.sysid), **_slowest(axes),
+        figures = _slowest(axes)
+        vehicles.append({"id": motion.sysid, "profile": profile_of.get(motion.sysid), **figures,
+                         "note": delay_note(figures),
                          "axes": {name: _values(found) for name, found in axes.items()}})  # fmt: skip
     out.console.print(table)
     for problem in problems:
         out.console.print(problem)
+    for vehicle in vehicles:
+        if vehicle["note"]:
+            out.console.print(f"vehicle {vehicle['id']}: {vehicle['note']}")
     lines = profile_lines(vehicles)
     if lines:
         out.console.print("for the mission file (links included: leave link_delay_s at 0):\nprofiles:")
@@ -69,6 +76,18 @@ def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
             slowest = max(found, key=lambda item: item["t63_s"])
             lines.append(f"{name}: {{lag_s: {slowest['lag_s']:.2f}, delay_s: {slowest['delay_s']:.2f}}}")
     return lines
+
+
+def delay_note(figures: dict[str, Any]) -> str:
+    """What it means that most of the time to 63 % is found as delay; empty where the split says nothing unusual."""
+    if figures["lag_s"] is None or figures["delay_s"] <= DELAY_SHARE_MAX * figures["t63_s"]:
+        return ""
+    return (
+        f"the delay is {figures['delay_s'] / figures['t63_s']:.0%} of t63: either its links are slow, or it answers in an"
+        " S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and how it is"
+        " shared out is not. The pair below can be flown with: delay costs more than lag does, so the team is gentler"
+        " than it need be"
+    )
 
 
 def _profiles(log: Path) -> dict[int, str]:
