@@ -42,8 +42,8 @@ def missed(stands: Sizes, before: Sizes, scale: float, stage: Stage, keep_out_m:
         keep_out_m: what vehicles keep from each other, what positions may be off included.
     """
     asked = scale * before[0], scale * before[1]
-    off = [abs(a / b - 1.0) for a, b in zip(stands, asked, strict=True)]
-    if not any(share > OFF_MAX for share in off):
+    # Both together: the move grows the formation as each agent lays it over those it sees, with one size.
+    if not abs(_overall(stands, stage) / _overall(asked, stage) - 1.0) > OFF_MAX:
         return ""
     apart_m = float(np.nanmin(asked)) * shortest_m(stage.formation)
     why = "vehicles did not follow, or the fence was in the way"
@@ -56,6 +56,13 @@ def missed(stands: Sizes, before: Sizes, scale: float, stage: Stage, keep_out_m:
         f"move not finished: {stage.formation.name} stands at {_words(stands)} times its size, {_words(asked)} was"
         f" asked for; {why}"
     )
+
+
+def _overall(sizes: Sizes, stage: Stage) -> float:
+    """One size for both, as the root mean square of all distances has it."""
+    level, upright = np.square(np.nan_to_num(sizes))
+    squares = stage.formation.points_enu_m.var(axis=0)
+    return float(np.sqrt((level * (squares[0] + squares[1]) + upright * squares[2]) / squares.sum()))
 
 
 def _words(sizes: Sizes) -> str:

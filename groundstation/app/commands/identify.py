@@ -83,10 +83,10 @@ def delay_note(figures: dict[str, Any]) -> str:
     if figures["lag_s"] is None or figures["delay_s"] <= DELAY_SHARE_MAX * figures["t63_s"]:
         return ""
     return (
-        f"the delay is {figures['delay_s'] / figures['t63_s']:.0%} of t63: either its links are slow, or it answers in an"
-        " S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and how it is"
-        " shared out is not. The pair below can be flown with: delay costs more than lag does, so the team is gentler"
-        " than it need be"
+        f"the delay is {figures['delay_s'] / figures['t63_s']:.0%} of t63: either its links are slow, or it answers in"
+        " an S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and how it is"
+        " shared out is not. The pair can be flown with: r is kept with the sum of both, and a delay makes the team"
+        " gentler than a lag would"
     )
 
 
