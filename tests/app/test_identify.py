@@ -100,11 +100,13 @@ def test_a_mission_takes_identified_values() -> None:
 
 def test_a_delay_that_is_most_of_the_answer_is_worth_a_word() -> None:
     """An S-shaped response is found as half delay, half lag: the sum is right."""
-    s_shaped = {"lag_s": 0.5, "delay_s": 0.49, "t63_s": 0.99}
-    assert "the delay is 49% of t63: either its links are slow, or it answers in an S" in delay_note(s_shaped)
-    assert "r is kept with the sum of both" in delay_note(s_shaped)
-    assert delay_note({"lag_s": 0.16, "delay_s": 0.07, "t63_s": 0.23}) == ""
-    assert delay_note({"lag_s": None, "delay_s": None, "t63_s": None}) == ""
+    s_shaped = {"id": 3, "lag_s": 0.5, "delay_s": 0.49, "t63_s": 0.99}
+    usual = {"id": 4, "lag_s": 0.16, "delay_s": 0.07, "t63_s": 0.23}
+    unknown = {"id": 5, "lag_s": None, "delay_s": None, "t63_s": None}
+    note = delay_note([s_shaped, usual, unknown, {**s_shaped, "id": 7}])
+    assert note.startswith("vehicles 3 (49%), 7 (49%): that much of t63 is delay. Either the links are slow, or it")
+    assert "r is kept with the sum of both" in note
+    assert delay_note([usual, unknown]) == ""
     # The pair is as far-sighted as the true lag asks for, and more careful.
     found, true = (
         DamperParams(3.0, 0.0, lag_s, delay_s, 0.02, speed_limit_m_s=1.5, accel_limit_m_s2=2.5)

@@ -46,23 +46,21 @@ def identify(
             table.add_row(str(motion.sysid), name, *_cells(axes[name]))
             if axes[name].problem:
                 problems[f"vehicle {motion.sysid}, {name}: {axes[name].problem}"] = None
-        figures = _slowest(axes)
-        vehicles.append({"id": motion.sysid, "profile": profile_of.get(motion.sysid), **figures,
-                         "note": delay_note(figures),
+        vehicles.append({"id": motion.sysid, "profile": profile_of.get(motion.sysid), **_slowest(axes),
                          "axes": {name: _values(found) for name, found in axes.items()}})  # fmt: skip
     out.console.print(table)
     for problem in problems:
         out.console.print(problem)
-    for vehicle in vehicles:
-        if vehicle["note"]:
-            out.console.print(f"vehicle {vehicle['id']}: {vehicle['note']}")
+    note = delay_note(vehicles)
+    if note:
+        out.console.print(note)
     lines = profile_lines(vehicles)
     if lines:
         out.console.print("for the mission file (links included: leave link_delay_s at 0):\nprofiles:")
         for line in lines:
             out.console.print(f"  {line}")
     known = [vehicle for vehicle in vehicles if vehicle["lag_s"] is not None]
-    out.result({"log": str(log), "vehicles": vehicles, "identified": len(known), "profiles": lines})
+    out.result({"log": str(log), "vehicles": vehicles, "identified": len(known), "profiles": lines, "note": note})
     if not known:
         raise MissionFailed(f"{log}: no vehicle could be identified: {vehicles[0]['problem']}")
 
@@ -78,15 +76,19 @@ def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def delay_note(figures: dict[str, Any]) -> str:
-    """What it means that most of the time to 63 % is found as delay; empty where the split says nothing unusual."""
-    if figures["lag_s"] is None or figures["delay_s"] <= DELAY_SHARE_MAX * figures["t63_s"]:
+def delay_note(vehicles: list[dict[str, Any]]) -> str:
+    """What it means that most of the time to 63 % is found as delay; empty where no split says anything unusual."""
+    known = [item for item in vehicles if item["lag_s"] is not None]
+    shares = {item["id"]: item["delay_s"] / item["t63_s"] for item in known}
+    large = {sysid: share for sysid, share in shares.items() if share > DELAY_SHARE_MAX}
+    if not large:
         return ""
+    who = ", ".join(f"{sysid} ({share:.0%})" for sysid, share in large.items())
     return (
-        f"the delay is {figures['delay_s'] / figures['t63_s']:.0%} of t63: either its links are slow, or it answers in"
-        " an S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and how it is"
-        " shared out is not. The pair can be flown with: r is kept with the sum of both, and a delay makes the team"
-        " gentler than a lag would"
+        f"vehicle{'s' if len(large) > 1 else ''} {who}: that much of t63 is delay. Either the links are slow, or it"
+        " answers in an S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and"
+        " how it is shared out is not. The pair can be flown with: r is kept with the sum of both, and a delay makes"
+        " the team gentler than a lag would"
     )
 
 
