@@ -15,8 +15,9 @@ distance that is convex and grows no faster than an agent moves will do.
 An obstacle (``LocalViews.extra_m`` above zero) does its half of nothing: there r grows by that, and i does both halves,
 n_ij . u_i <= alpha h_ij + min(n_ij . w_j, 0), w_j the obstacle's velocity as measured.
 
-Refuses parameters for which the argument does not hold. It does not know other agents' intentions: both sides of a
-pair must run it.
+Refuses parameters outside their ranges only: for all others `DamperParams.rate_1_s` is as slow as the argument needs.
+It does not know other agents' intentions (both sides of a pair must run it), nor whether the vehicles are what the
+parameters say.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ from groundstation.core.views import LocalViews
 _SLACK_WEIGHT = 1e4
 """Weight of a common violation when the bounds contradict each other; large: least violation comes first."""
 
+_STALE_MAX = float(np.exp(-1.0))
+"""x' = -c x(t - s) stays positive if and only if c s is at most this."""
+
 
 @dataclass(frozen=True)
 class DamperParams:
@@ -45,8 +49,8 @@ class DamperParams:
         h' >= (T / tau) n.(u_j - u_i) >= -(T / tau) alpha h,
 
     so h never falls below zero, and then neither does d - r, since d' >= -(d - r) / T. Delay and sampling make the
-    bound old by ``delay + tick`` seconds; h stays positive as long as `delay_product` is at most 1/e.
-    A finite acceleration acts as a longer lag: to lose a speed v takes v / a.
+    bound old by ``delay + tick`` seconds; h stays positive as long as `delay_product` is at most 1/e, which alpha
+    sees to. A finite acceleration acts as a longer lag: to lose a speed v takes v / a.
 
     Attributes:
         radius_m: r > 0, the distance that must not be undercut.
@@ -92,14 +96,25 @@ class DamperParams:
 
     @property
     def rate_1_s(self) -> float:
-        """alpha: how fast the remaining distance may be used up."""
-        return 1.0 / (4.0 * (self.delay_s + self.tick_s) + self.lag_s)
+        """alpha: how fast the remaining distance may be used up.
+
+        1 / (4 (delay + tick) + tau), or, where that is less, the one with which `delay_product` is 1/e: long delays
+        on quick vehicles, for which what is already moving counts many times its lag.
+        """
+        swift_1_s = 1.0 / (4.0 * (self.delay_s + self.tick_s) + self.lag_s)
+        # Not a minimum of both: where the first will do it stays what it is, to the last bit.
+        return swift_1_s if swift_1_s * self._stale_s <= _STALE_MAX else _STALE_MAX / self._stale_s
 
     @property
     def delay_product(self) -> float:
-        """Product alpha (T / tau) (delay + tick), T / tau left out without lag: the argument holds up to 1/e."""
+        """Product alpha (T / tau) (delay + tick), T / tau left out without lag: at most 1/e, to rounding."""
+        return self.rate_1_s * self._stale_s
+
+    @property
+    def _stale_s(self) -> float:
+        """How old a bound is, stretched by T / tau: h may fall that much faster than it is used up."""
         stretch = self.horizon_s / self.lag_s if self.lag_s > 0.0 else 1.0
-        return self.rate_1_s * stretch * (self.delay_s + self.tick_s)
+        return stretch * (self.delay_s + self.tick_s)
 
 
 @dataclass(frozen=True)

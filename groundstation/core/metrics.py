@@ -57,6 +57,24 @@ def free_scale_error_m(pos_m: FloatArray, points_m: FloatArray, role_of_agent: I
     return min(errors)
 
 
+def size_ratios(pos_m: FloatArray, points_m: FloatArray) -> tuple[float, float]:
+    """How large a team stands against a formation, level and upright, whoever has which role: root mean squares.
+
+    Args:
+        pos_m: shape (n, 3), any frame whose third axis is vertical.
+        points_m: the formation's points, shape (n, 3).
+
+    Returns:
+        Both ratios; NaN when a position is unknown, and where the formation has no extent to compare with.
+    """
+    pos, points = (np.square(item - item.mean(axis=0)) for item in (pos_m, points_m))
+    level, upright = (
+        float(np.sqrt(here.sum() / there.sum())) if there.sum() > 1e-12 else float("nan")
+        for here, there in ((pos[:, :2], points[:, :2]), (pos[:, 2], points[:, 2]))
+    )
+    return level, upright
+
+
 def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None) -> float:
     """Smallest distance between two counted agents.
 

@@ -21,6 +21,7 @@ from groundstation.core.places import own_places
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
+from groundstation.mission.free_size import Sizes, missed, sizes_of, stands_at
 from groundstation.mission.guidance import Course, Guide, Poses
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.schema import FormStep, HoldStep, Step
@@ -90,6 +91,7 @@ class FormationFlight:
         self._room = 1.0
         self._move_from_enu_m: FloatArray = np.zeros(3)
         self._size_before = 1.0
+        self._stood_at: Sizes = (1.0, 1.0)
         self._going_home = False
         self._gridlocks = Gridlocks(
             n,
@@ -345,6 +347,14 @@ class FormationFlight:
             )
             self._note("info", f"formation of step {number + 1}: {self.stage.formation.name}, scale {scale}", ())
 
+    def _sizes(self, poses: Poses) -> Sizes:
+        return sizes_of(poses.pos_team_ned_m[~self.gone], self.stage)
+
+    def _note_size(self, poses: Poses) -> None:
+        """Tells the log how large a formation came out whose size is left to chance."""
+        if self.stage.scale.kind == "free":
+            self._note("info", stands_at(self._sizes(poses), self.stage), ())
+
     def _forming(self, step: FormStep, error_m: float, now_ns: int, poses: Poses) -> tuple[Phase | None, str]:
         if error_m <= step.tolerance_m:
             if self._steady(now_ns):
@@ -353,6 +363,7 @@ class FormationFlight:
                     self._figures.time_to_form_s = took_s
                 if len(self._plan.stages) > 1:
                     self._note("info", f"formed {self.stage.formation.name} after {took_s:.2f} s", ())
+                self._note_size(poses)
                 later = self._plan.spec.steps[self._step_index + 1 :]
                 self._figures.converged = all(item.form is None for item in later)
                 return self.next_step(now_ns, poses), ""
@@ -401,6 +412,7 @@ class FormationFlight:
             self._move_s, self._pace, self._room = 0.0, 0.0, 1.0
             self._size_before, self._last_ns = self._size, NEVER
             self._move_from_enu_m = pos_enu_m.mean(axis=0)
+            self._stood_at = self._sizes(poses)
             outside = self._outside(pos_enu_m)
             if outside:
                 return None, outside, None, None
@@ -428,6 +440,12 @@ class FormationFlight:
             by = " ".join(f"{value:.2f}" for value in pos_enu_m.mean(axis=0) - self._move_from_enu_m)
             told = " ".join(f"{value:.2f}" for value in move.by_enu_m)
             self._note("info", f"the middle of the team has moved by {by} m (ENU), told were {told} m", ())
+            self._note_size(poses)
+            if self.stage.scale.kind == "free" and move.scale != 1.0:
+                why = missed(self._sizes(poses), self._stood_at, move.scale, self.stage, self._guide.keep_out_m)
+                if why:
+                    self._figures.converged = False
+                    return None, why, None, None
             return self.next_step(now_ns, poses), "", None, None
         if now_ns - self._step_ns >= (_MOVE_PATIENCE * move.seconds + _MOVE_SPARE_S) * _SECOND_NS:
             why = "a vehicle does not follow" if absent.any() else f"a distance is {error_m:.3f} m off"

@@ -33,6 +33,21 @@ def margin_m(position_error_m: float) -> float:
     return _DEVIATIONS * math.sqrt(2.0) * position_error_m
 
 
+def margin_deviations(position_error_m: float, velocity_error_m_s: float, horizon_s: float) -> float:
+    """How many standard deviations the margin is of what the damper counts with, both errors together.
+
+    It holds d + T d' against r: the error of a distance and T times that of its rate, which add in squares where they
+    are independent. The margin knows of the first alone.
+
+    Args:
+        position_error_m: standard deviation of a position, one axis, > 0.
+        velocity_error_m_s: of a velocity, one axis, lasting; what changes from tick to tick costs far less.
+        horizon_s: T.
+    """
+    combined_m = math.sqrt(2.0) * math.hypot(position_error_m, horizon_s * velocity_error_m_s)
+    return margin_m(position_error_m) / combined_m
+
+
 def tolerance_min_m(rate_1_s: float) -> float:
     """How far off a distance stays under a law that takes errors back at a rate, both vehicles wandering by GPS."""
     return _DEVIATIONS * math.sqrt(2.0) * _WANDER_M_S / rate_1_s

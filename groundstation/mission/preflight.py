@@ -6,6 +6,7 @@ again. Nothing here waits: the runner calls it once per tick and decides how lon
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from groundstation.mission.check_table import CheckRow, check_rows
 from groundstation.mission.checks import Checks
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.poses import TeamFrame
+from groundstation.mission.profiles import approach_rate_1_s
 
 _SECOND_NS = 1_000_000_000
 _ENOUGH = 0.6  # of the rate asked for: what a lossy link leaves
@@ -40,6 +42,9 @@ _SYNC_SAMPLES = 3
 _ARMED_PATIENCE_NS = 3 * _SECOND_NS  # heartbeats and landed states of the whole team
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
 _ROUND_TRIP_SPARE_S = 0.15
+_ROUND_TRIP_CALM = 0.25
+"""Delay that the mission does not reckon with, as a share of the lag and delay that k is fitted to, above which people
+are told: cube8 formed at 0.35 of it and swung, never within its tolerance, at 0.5."""
 
 
 @dataclass
@@ -94,6 +99,7 @@ class Preflight:
         self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
+        self._told_slow: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._armed_ns = NEVER
         self._checked = [False] * plan.size
         self._bytes_ns, self._bytes_then = NEVER, Counter[int]()
@@ -428,6 +434,16 @@ class Preflight:
             return (
                 f"its answers take {trip_s:.2f} s, limit {limit_s:.2f} s for the delay that r is kept with; use a"
                 f" quicker link, or set link_delay_s: {more_s:.2f}"
+            )
+        # The quickest trip of late moves about: said once, with the first figure.
+        fitted_s = 0.25 / approach_rate_1_s(self._plan.profile, self._plan.lead_s)
+        if trip_s - self._plan.spec.link_delay_s > _ROUND_TRIP_CALM * fitted_s and not self._told_slow[vehicle]:
+            self._told_slow[vehicle] = True
+            state.notes.append(
+                f"vehicle {self._plan.spec.vehicles[vehicle].id}: its answers take {trip_s:.2f} s, and the mission"
+                f" reckons with link_delay_s: {self._plan.spec.link_delay_s:g}; the team may swing and not come"
+                f" to rest in the formation; link_delay_s: {math.ceil(100.0 * trip_s - 1e-6) / 100.0:.2f} would make"
+                " it calmer"
             )
         return None
 

@@ -10,7 +10,9 @@ import pytest
 from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.vary import load_vary
+from groundstation.app.commands.identify import delay_note
 from groundstation.app.emulator import world_config
+from groundstation.core.damper import DamperParams
 from groundstation.core.errors import UserError
 from tests.app.commands import gs
 from tests.app.flights import CUBE8, cube8
@@ -94,3 +96,21 @@ def test_a_mission_takes_identified_values() -> None:
     assert world_config(own).vehicles[2].profile == "crazyflie"
     with pytest.raises(UserError, match=r"profiles\.slow\.like: slow is not known"):
         cube8("profiles={slow: {lag_s: 0.5}}")
+
+
+def test_a_delay_that_is_most_of_the_answer_is_worth_a_word() -> None:
+    """An S-shaped response is found as half delay, half lag: the sum is right."""
+    s_shaped = {"id": 3, "lag_s": 0.5, "delay_s": 0.49, "t63_s": 0.99}
+    usual = {"id": 4, "lag_s": 0.16, "delay_s": 0.07, "t63_s": 0.23}
+    unknown = {"id": 5, "lag_s": None, "delay_s": None, "t63_s": None}
+    note = delay_note([s_shaped, usual, unknown, {**s_shaped, "id": 7}])
+    assert note.startswith("vehicles 3 (49%), 7 (49%): that much of t63 is delay. Either the links are slow, or it")
+    assert "r is kept with the sum of both" in note
+    assert delay_note([usual, unknown]) == ""
+    # The pair is as far-sighted as the true lag asks for, and more careful.
+    found, true = (
+        DamperParams(3.0, 0.0, lag_s, delay_s, 0.02, speed_limit_m_s=1.5, accel_limit_m_s2=2.5)
+        for lag_s, delay_s in ((0.5, 0.49), (0.9, 0.1))
+    )
+    assert found.horizon_s >= 0.9
+    assert found.rate_1_s < true.rate_1_s

@@ -18,6 +18,7 @@ from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mission.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from sitl.faults import Fault
+from sitl.network import LinkConfig
 from sitl.world import Outgoing, World, WorldConfig
 from tests.app.flights import SECOND_NS, Flight, pair
 from tests.app.test_fleets import _assert_flown, _assert_on_the_ground
@@ -334,3 +335,25 @@ def test_commands_that_are_ignored_do_not_hang_preflight() -> None:
     _assert_on_the_ground(flight)
     assert flight.now_ns < 75 * SECOND_NS
     assert "vehicle 1: is heard, and answers no command" in flight.runner.reason
+
+
+@pytest.mark.parametrize(
+    ("each_way_s", "declared_s", "told"),
+    [(0.03, 0.0, False), (0.06, 0.0, True), (0.11, 0.0, True), (0.06, 0.05, False)],
+)
+def test_a_round_trip_that_makes_the_team_swing_is_told_once_and_not_refused(
+    each_way_s: float, declared_s: float, told: bool
+) -> None:
+    """Above the limit (0.25 s for this pair) it is refused, see the poor links."""
+
+    def slow(config: WorldConfig) -> WorldConfig:
+        late = LinkConfig(delay_ns=round(each_way_s * SECOND_NS))
+        return replace(config, uplink=late, downlink=late)
+
+    checked = Checked(pair(f"link_delay_s={declared_s}"), change=slow)
+    assert checked.runner.outcome == "completed"
+    notes = [note for note in checked.notes if "its answers take" in note]
+    assert [note[:11] for note in notes] == (["vehicle 1: ", "vehicle 2: "] if told else [])
+    for note in notes:
+        named_s = float(note.rpartition("link_delay_s: ")[2].removesuffix(" would make it calmer"))
+        assert 2.0 * each_way_s <= named_s < 2.0 * each_way_s + 0.03

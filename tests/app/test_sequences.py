@@ -133,6 +133,40 @@ def test_a_gridlocked_team_forms_is_counted_and_replayed(swaps: bool, tmp_path: 
     assert verify_log(log).mismatches == 0
 
 
+FREE = (
+    "scale={kind: free}",
+    "takeoff.height_m=1.1",
+    "min_altitude_m=0.3",
+    "avoidance={radius_m: 0.4, activation_m: 0.45}",
+)
+
+
+def _sizes_told(flight: Flight) -> list[float]:
+    """Level sizes that the log tells of a formation with free scale."""
+    told = [text for text in flight.texts("info") if text.startswith("cube8 stands, with free scale, at ")]
+    return [float(text.split(", at ")[1].split()[0]) for text in told]
+
+
+def test_a_free_formation_that_r_does_not_let_shrink_is_not_said_to_have_moved(tmp_path: Path) -> None:
+    log = tmp_path / "free.tlog"
+    flight = Flight(cube8(*FREE, "steps=[form: {tolerance_m: 0.08}, move: {scale: 0.35}]"), log=log)
+    before, after = _sizes_told(flight)
+    assert after > 0.35 * before * 1.1
+    assert (flight.runner.outcome, flight.runner.figures.converged) == ("aborted", False)
+    assert flight.runner.reason.startswith("move not finished: cube8 stands at ")
+    assert "0.44 m are kept (avoidance.radius_m and what two positions may be off)" in flight.runner.reason
+    assert flight.world.min_distance_airborne_m >= 0.4
+    assert verify_log(log).mismatches == 0
+    assert [item.sized for item in load_flight(log).formations] == [False] * 3
+
+
+def test_a_free_formation_that_has_room_moves_to_the_size_that_is_asked_for() -> None:
+    flight = Flight(cube8(*FREE, "steps=[form: {tolerance_m: 0.08}, move: {scale: 1.4}]"))
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
+    before, after = _sizes_told(flight)
+    assert after == pytest.approx(1.4 * before, rel=0.1)
+
+
 def test_a_move_that_would_leave_the_fence_from_where_the_team_is_does_not_begin() -> None:
     plan = cube8("steps=[form: {}, move: {by_m: [0.5, 0, 0]}]")
     # As if the team had drifted: what was judged by the pads is judged again by where everybody is.

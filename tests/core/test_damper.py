@@ -52,6 +52,51 @@ def test_the_argument_holds_for_the_profiles(profile: Profile) -> None:
     assert damper_for(profile, Chain(cube(), cube_gains(), 1.0), 0.03).delay_product <= np.exp(-1.0)
 
 
+@given(
+    lag_s=st.one_of(st.just(0.0), st.floats(1e-6, 10.0)),
+    delay_s=st.floats(0.0, 5.0),
+    tick_s=st.floats(1e-3, 1.0),
+    speed_m_s=st.floats(1e-3, 20.0),
+    accel_m_s2=st.one_of(st.just(np.inf), st.floats(1e-2, 100.0)),
+)
+def test_the_argument_holds_for_every_setting(
+    *, lag_s: float, delay_s: float, tick_s: float, speed_m_s: float, accel_m_s2: float
+) -> None:
+    """No delay is too long: the distance left is used up more slowly instead, and no more slowly than is needed."""
+    params = DamperParams(0.45, 0.05, lag_s, delay_s, tick_s, speed_m_s, accel_m_s2)
+    swift_1_s = 1.0 / (4.0 * (delay_s + tick_s) + lag_s)
+    assert 0.0 < params.rate_1_s <= swift_1_s
+    assert params.delay_product <= np.exp(-1.0) * (1.0 + 1e-12)
+    stretch = params.horizon_s / lag_s if lag_s > 0.0 else 1.0
+    if swift_1_s * stretch * (delay_s + tick_s) < np.exp(-1.0) * (1.0 - 1e-9):
+        assert params.rate_1_s == swift_1_s  # to the last bit
+    elif params.rate_1_s < swift_1_s:
+        assert params.delay_product == pytest.approx(np.exp(-1.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_pair_that_uses_all_it_may_keeps_what_is_left_not_negative(seed: int) -> None:
+    """Head on, at exactly the bound, whatever lag and delay: h, and with it the distance, never gets below zero."""
+    rng = np.random.default_rng(seed)
+    tick_s = 0.02
+    params = DamperParams(
+        0.45, 0.0, rng.uniform(0.1, 1.2), tick_s * int(rng.integers(0, 31)), tick_s, rng.uniform(0.2, 1.5), 4.0
+    )
+    keep, steps = np.exp(-tick_s / params.lag_s), round(params.delay_s / tick_s)
+    left_m, rate_m_s, least = rng.uniform(0.5, 2.0), 0.0, np.inf
+    waiting = [0.0] * steps
+    for _ in range(1500):
+        h = left_m + params.horizon_s * min(rate_m_s, 0.0)
+        least = min(least, h)
+        waiting.append(-params.rate_1_s * h)
+        told = waiting.pop(0)
+        left_m += told * tick_s + (rate_m_s - told) * params.lag_s * (1.0 - keep)  # exact, between two setpoints
+        rate_m_s = told + (rate_m_s - told) * keep
+    assert least >= 0.0
+    assert left_m >= 0.0
+
+
 def test_what_is_already_moving_enters_the_bound() -> None:
     at_rest = view_of([[0.8, 0, 0]], [[0.0, 0, 0]])
     closing = view_of([[0.8, 0, 0]], [[-0.2, 0.3, 0]])

@@ -54,3 +54,14 @@ def test_upside_down_is_told_from_upright(order: list[int], shift: float, size: 
     assert metrics.vertical_orientation(upright, heights, roles) == pytest.approx(1.0)
     assert metrics.vertical_orientation(-upright, heights, roles) == pytest.approx(-1.0)
     assert metrics.vertical_orientation(np.zeros(8), heights, roles) == 0.0
+
+
+def test_sizes_are_told_level_and_upright_whoever_stands_where() -> None:
+    points = cube().points_enu_m
+    pos = np.random.default_rng(1).permutation(points) * [0.7, -0.7, -1.3] + [5.0, 6.0, 7.0]
+    assert metrics.size_ratios(pos, points) == pytest.approx((0.7, 1.3))
+    level, upright = metrics.size_ratios(pos, points * [1.0, 1.0, 0.0])
+    assert level == pytest.approx(0.7)
+    assert np.isnan(upright)
+    pos[0, 2] = np.nan
+    assert np.isnan(metrics.size_ratios(pos, points)[1])

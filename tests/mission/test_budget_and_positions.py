@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from groundstation.core.damper import DamperParams
 from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import Encoder
 from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan import MissionPlan, plan_from_record
-from groundstation.mission.positioning import POSITION_ERROR_M, margin_m
-from tests.app.flights import cube8, mission, pair
+from groundstation.mission.positioning import POSITION_ERROR_M, margin_deviations, margin_m
+from groundstation.mission.profiles import PROFILES
+from tests.app.flights import CUBE8, cube8, mission, pair
 
 GPS_MARGIN_M = 3.0 * math.sqrt(2.0) * 0.24
 
@@ -180,3 +184,37 @@ def test_a_tolerance_that_wandering_vehicles_cannot_keep_is_refused_and_the_one_
     assert mission("px4_cube8", slow, "steps.0.form.tolerance_m=0.51").slowness > 2.0
     assert mission("px4_cube8").slowness == 1.0
     assert cube8("link_delay_s=0.5").size == 8  # motion capture does not wander
+
+
+def _rows(heading: str) -> list[list[str]]:
+    """Cells of the table of docs/avoidance.md that has this heading."""
+    lines = (Path(__file__).parents[2] / "docs" / "avoidance.md").read_text(encoding="utf-8").splitlines()
+    start = next(number for number, line in enumerate(lines) if line.startswith(heading))
+    rows = itertools.takewhile(lambda line: line.startswith("|"), lines[start + 2 :])
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+
+
+def test_the_margin_is_of_as_many_deviations_as_the_docs_say() -> None:
+    rows = _rows("| profile | T | σ 1 cm")
+    assert [row[0].strip("`") for row in rows] == list(PROFILES)
+    for name, horizon, *told in rows:
+        profile = PROFILES[name.strip("`")]
+        horizon_s = max(profile.lag_s, 0.5 / profile.acceleration_max_m_s2) + profile.delay_s
+        assert float(horizon.removesuffix(" s")) == pytest.approx(horizon_s)
+        errors = [(0.01, 0.01), (0.02, 0.01), (POSITION_ERROR_M["gps"], 0.035), (POSITION_ERROR_M["gps"], 0.1)]
+        assert told == [f"{margin_deviations(*both, horizon_s):.2f}" for both in errors]
+
+
+def test_what_the_argument_assumes_is_told_for_every_mission_that_comes_along() -> None:
+    rows = _rows("| mission | `delay_product`")
+    assert [row[0] for row in rows] == sorted(path.stem for path in CUBE8.parent.glob("*.yaml"))
+    for name, product, speeds, late in rows:
+        plan = mission(name)
+        v, a, profile = plan.spec.speed_limit_m_s, plan.acceleration_limit_m_s2, plan.profile
+        params = DamperParams(
+            1.0, 0.0, profile.lag_s, profile.delay_s, 1.0 / plan.spec.rate_hz, speed_limit_m_s=v, accel_limit_m_s2=a
+        )
+        assert product == f"{params.delay_product:.2f}"
+        assert speeds == f"{v:.2f}, {2 * v:.2f}, {profile.acceleration_max_m_s2 * profile.lag_s:.2f}"
+        assert late == f"{2 * v / a:.2f}"
+        assert v <= profile.acceleration_max_m_s2 * profile.lag_s  # standing still at once saturates nobody

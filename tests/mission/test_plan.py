@@ -80,6 +80,10 @@ def test_cube8_is_flown_as_the_paper_says_with_the_gain_that_the_lag_allows() ->
         (["steps=[{land: {}}]"], "steps[0].land: unknown key"),
         (["steps=[{form: {}, hold: {}}]"], "steps[0]: a step has exactly one key"),
         (["rate_hz=5"], "rate_hz: input should be greater than or equal to 10, got 5"),
+        (
+            ["acceleration_limit_m_s2=5"],
+            "acceleration_limit_m_s2: 5 m/s^2, maximum is 4 m/s^2, what the slowest vehicle reaches (crazyflie): r is",
+        ),
         (["no-equals-sign"], "--set no-equals-sign: expected key.path=value"),
         (["vehicles.9.id=3"], "--set vehicles.9.id=3: vehicles.9: expected a number from 0 to 7"),
         (["name.first=x"], "there are no keys below a single value"),
@@ -153,3 +157,10 @@ def test_a_record_of_something_else_is_refused() -> None:
         plan_from_record({"name": "x"}, plan.gains_npz, "manifest")
     with pytest.raises(UserError, match="manifest: mission: wings: unknown key"):
         plan_from_record({**plan.record(), "wings": 2}, plan.gains_npz, "manifest")
+
+
+def test_setpoints_may_change_as_fast_as_the_mission_says_its_vehicles_can() -> None:
+    assert load_mission(CUBE8).acceleration_limit_m_s2 == 4.0
+    assert load_mission(CUBE8, ["acceleration_limit_m_s2=1.5"]).acceleration_limit_m_s2 == 1.5
+    own = load_mission(CUBE8, ["acceleration_limit_m_s2=5", "profiles={crazyflie: {acceleration_max_m_s2: 6}}"])
+    assert own.acceleration_limit_m_s2 == 5.0

@@ -18,6 +18,8 @@ from groundstation.records.manifest import manifest_beside
 from groundstation.records.responses import load_motions
 
 _DIRECTIONS = ("east", "north", "up")
+DELAY_SHARE_MAX = 0.4
+"""Share of t63 from which on a delay is worth a word: profiles that come along have a fifth at most."""
 
 
 def identify(
@@ -49,13 +51,16 @@ def identify(
     out.console.print(table)
     for problem in problems:
         out.console.print(problem)
+    note = delay_note(vehicles)
+    if note:
+        out.console.print(note)
     lines = profile_lines(vehicles)
     if lines:
         out.console.print("for the mission file (links included: leave link_delay_s at 0):\nprofiles:")
         for line in lines:
             out.console.print(f"  {line}")
     known = [vehicle for vehicle in vehicles if vehicle["lag_s"] is not None]
-    out.result({"log": str(log), "vehicles": vehicles, "identified": len(known), "profiles": lines})
+    out.result({"log": str(log), "vehicles": vehicles, "identified": len(known), "profiles": lines, "note": note})
     if not known:
         raise MissionFailed(f"{log}: no vehicle could be identified: {vehicles[0]['problem']}")
 
@@ -69,6 +74,22 @@ def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
             slowest = max(found, key=lambda item: item["t63_s"])
             lines.append(f"{name}: {{lag_s: {slowest['lag_s']:.2f}, delay_s: {slowest['delay_s']:.2f}}}")
     return lines
+
+
+def delay_note(vehicles: list[dict[str, Any]]) -> str:
+    """What it means that most of the time to 63 % is found as delay; empty where no split says anything unusual."""
+    known = [item for item in vehicles if item["lag_s"] is not None]
+    shares = {item["id"]: item["delay_s"] / item["t63_s"] for item in known}
+    large = {sysid: share for sysid, share in shares.items() if share > DELAY_SHARE_MAX}
+    if not large:
+        return ""
+    who = ", ".join(f"{sysid} ({share:.0%})" for sysid, share in large.items())
+    return (
+        f"vehicle{'s' if len(large) > 1 else ''} {who}: that much of t63 is delay. Either the links are slow, or it"
+        " answers in an S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and"
+        " how it is shared out is not. The pair can be flown with: r is kept with the sum of both, and a delay makes"
+        " the team gentler than a lag would"
+    )
 
 
 def _profiles(log: Path) -> dict[int, str]:
