@@ -131,8 +131,8 @@ class Guide:
             delay_s=profile.delay_s,
             tick_s=self._period_s,
             speed_limit_m_s=spec.speed_limit_m_s,
-            # Never more than the vehicles' own (the plan sees to it); with less, braking takes that much longer.
-            accel_limit_m_s2=plan.acceleration_limit_m_s2,
+            # With less than the vehicles could do braking takes that much longer.
+            accel_limit_m_s2=min(plan.acceleration_limit_m_s2, profile.acceleration_max_m_s2),
             region=plan.region,
         )
         # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.

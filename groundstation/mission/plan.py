@@ -66,7 +66,7 @@ class MissionPlan:
         autopilots: one per vehicle.
         pads_enu_m: shape (n, 3), team frame.
         min_altitude_m: nobody who flies the formation goes below, above the team frame's ground.
-        acceleration_limit_m_s2: how fast commanded velocities may change; no more than the slowest vehicle can.
+        acceleration_limit_m_s2: how fast commanded velocities may change.
     """
 
     spec: MissionSpec
@@ -279,7 +279,9 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
             gains = form.gains if form.formation is not None or form.gains is not None else spec.gains
             size = form.formation_scale if form.formation is not None or form.formation_scale else spec.formation_scale
             others[number] = shapes.read(form.formation or spec.formation, gains, size, f"steps[{number}].form.")
-    return build_plan(spec, first, str(path), others)
+    plan = build_plan(spec, first, str(path), others)
+    _check_acceleration(plan)
+    return plan
 
 
 class _Shapes:
@@ -423,7 +425,7 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
     lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
     if positioning == "gps":
         check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
-    acceleration_limit_m_s2 = _acceleration_limit_m_s2(spec, profile, source)
+    acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
     stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s)
     moves, room_m = plan_moves(
         spec,
@@ -432,7 +434,7 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
         region=region,
         pads_enu_m=pads,
         floor_m=_floor(spec),
-        acceleration_limit_m_s2=acceleration_limit_m_s2,
+        acceleration_limit_m_s2=min(acceleration_limit_m_s2, profile.acceleration_max_m_s2),
         position_error_m=position_error_m,
         positioning=positioning,
         source=source,
@@ -460,22 +462,21 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
     )
 
 
-def _acceleration_limit_m_s2(spec: MissionSpec, profile: VehicleProfile, source: str) -> float:
-    """How fast setpoints may change: no faster than vehicles can follow, for which the damper takes them to be near.
+def _check_acceleration(plan: MissionPlan) -> None:
+    """Refuses setpoints that change faster than vehicles can follow, for which the damper takes them to be near.
+
+    Not for records: what was flown with an earlier version can still be replayed.
 
     Raises:
         UserError: with the profile's figure and the remedy.
     """
-    limit = spec.acceleration_limit_m_s2
-    if limit is None:
-        return profile.acceleration_max_m_s2
+    limit, profile = plan.acceleration_limit_m_s2, plan.profile
     if limit > profile.acceleration_max_m_s2:
         raise UserError(
-            f"{source}: acceleration_limit_m_s2: {limit:g} m/s^2, maximum is {profile.acceleration_max_m_s2:g} m/s^2,"
-            f" what the slowest vehicle reaches ({profile.name}): r is kept with vehicles that can follow their"
+            f"{plan.source}: acceleration_limit_m_s2: {limit:g} m/s^2, maximum is {profile.acceleration_max_m_s2:g}"
+            f" m/s^2, what the slowest vehicle reaches ({profile.name}): r is kept with vehicles that can follow their"
             " setpoints; leave it out, or say in profiles what your vehicles reach (acceleration_max_m_s2)"
         )
-    return limit
 
 
 def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> tuple[LinkRates, ...]:
