@@ -11,16 +11,21 @@ import os
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import deepcopy
 from itertools import pairwise
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import yaml
 
 from groundstation.app.discovery import Discovery
+from groundstation.app.order_socket import LINE_MAX, OrderSocket, _Client
 from groundstation.app.resources import find_config
+from groundstation.app.session import Session
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
 from groundstation.design.designer import design
@@ -31,10 +36,12 @@ from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode, m
 from groundstation.mavlink.gate import Gate, Refused, SignedLink
 from groundstation.mavlink.keys import new_key, read_key, read_times
 from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at
+from groundstation.mission.operator import parse_command
 from groundstation.mission.overrides import override_value
 from groundstation.mission.plan import load_mission
 from groundstation.mission.runner import Runner
 from groundstation.mission.schema import MissionSpec
+from groundstation.mission.state import Note, Phase
 from groundstation.records.manifest import manifest_path, read_manifest
 from groundstation.records.notes import Noise, Received
 from groundstation.records.replay import load_flight
@@ -515,9 +522,55 @@ class Tcp(Target):
         check_pieces(FrameSplitter(datagrams=False).feed(pieces), data, good, bytes(300))
 
 
+class _Listener:
+    """What the order socket sees of a flight."""
+
+    def __init__(self) -> None:
+        self.said: list[Note] = []
+        self.runner = SimpleNamespace(phase=Phase.FORM)
+
+    def operator(self, order: str, _now_ns: int) -> str:
+        return parse_command(order, [1, 2]).text
+
+
+class Orders(Target):
+    """The socket of a second terminal: whatever it says, the line behind that is answered, or it is cut off."""
+
+    name = "orders"
+    words = (*JSON_WORDS, b'{"order": "', b'"}\n', b'{"about": true}\n', b"\n", b"kill all", b"\\u0000", b"\\udcff")
+
+    def samples(self) -> Sequence[bytes]:
+        return [b'{"order": "hold"}\n', b'{"order": "kill 2 1"}\n{"about": 1}\n', b'{"order": "land all"}\n', b"{}\n"]
+
+    def run(self, data: bytes) -> None:
+        flight = cast("Session", _Listener())
+        orders = OrderSocket(self.folder, {"mission": "a", "log": "b\udcff", "pid": 1, "vehicles": [1, 2]})
+        ours, theirs = socket.socketpair()
+        with ours, theirs:
+            theirs.setblocking(False)
+            client = _Client(theirs, 0)
+            orders._clients.append(client)
+            line = b'\n{"about": "the last one"}\n'
+            ours.sendall(data[:_ORDERS_BYTES] + line)
+            for tick in range(_ORDERS_TICKS):
+                orders.read()
+                orders.apply(flight, tick * TICK_NS)
+                orders.answer(flight)
+                assert not orders._clients or len(client.received) <= LINE_MAX
+            ours.setblocking(False)
+            said = b""
+            with suppress(OSError):  # nothing more, or cut off with something unread
+                while more := ours.recv(65536):
+                    said += more
+            answers = [json.loads(item) for item in said.splitlines()]
+            assert not orders._clients or any(answer.get("log") == "b\udcff" for answer in answers), answers[-1:]
+
+
+_ORDERS_BYTES, _ORDERS_TICKS = 8_000, 400
+
 TARGETS: tuple[type[Target], ...] = (
     Datagrams, Streams, GroundStation, SignedLinks, Log, Replay, ManifestFile, Mission, CommandLine, FormationFile,
-    Faults, Gains, Key, Emulator, Discover, Tcp,
+    Faults, Gains, Key, Emulator, Discover, Tcp, Orders,
 )  # fmt: skip
 
 
