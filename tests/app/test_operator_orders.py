@@ -191,11 +191,11 @@ def test_nothing_is_held_on_a_low_battery() -> None:
 
     def look(flight: Flight) -> bool:
         if flight.runner.phase is Phase.HOLD:
-            flight.world.autopilots[1].battery.left = 0.1
+            flight.world.autopilots[1].battery.left = min(flight.world.autopilots[1].battery.left, 0.3)
         return hold(flight)
 
     flight = Flight(pair(), interrupt_when=look)
-    assert "operator: hold refused: vehicle 2: battery at 10%, minimum is 40%" in flight.texts("alarm")
+    assert "operator: hold refused: vehicle 2: battery at 30%, minimum is 40%" in flight.texts("alarm")
     assert Phase.PAUSE not in flight.phase_seen
     _safe(flight)
 
@@ -213,7 +213,7 @@ def test_the_battery_of_one_that_has_landed_holds_up_nobody() -> None:
 
     drained: list[bool] = []
     holds = _says((_one_is_down, "hold"), (after(Phase.PAUSE, 2.0), "resume"))
-    flight = Flight(four("on_lost=continue_open", "steps.1.hold.seconds=25"), interrupt_when=look)
+    flight = Flight(four("on_lost=continue_open", "steps.1.hold.seconds=12"), interrupt_when=look)
     assert "vehicle 2: battery at 1" in flight.runner.reason
     assert "vehicle 2: battery at 9%, lands below 10%; it lands where it is when nobody is below, the others go on" in (
         flight.texts("alarm")

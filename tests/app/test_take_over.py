@@ -184,7 +184,8 @@ def test_one_that_comes_down_by_its_failsafe_while_it_is_taken_over_is_told() ->
     _assert_home(flight)
 
 
-def test_who_is_killed_while_it_is_taken_over_is_asked_for_nothing_else() -> None:
+def test_who_is_killed_while_it_is_taken_over_is_asked_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("groundstation.mission.runner._DOWN_MAX_NS", 20 * SECOND_NS)
     asked: list[int] = []
     said: list[int] = []
 
@@ -211,7 +212,7 @@ def test_who_is_killed_while_it_is_taken_over_is_asked_for_nothing_else() -> Non
     world.autopilots[1].ignore_commands = True
     flight = Watched(plan, world=world, take_over=True, interrupt_when=kill)
     assert set(asked) == {COMPONENT_ARM_DISARM}
-    assert "vehicle 2: told to stop its motors, and still armed by its own report" in flight.runner.reason
+    assert "vehicle 2: told to stop its motors, and still armed by its own report after 20 s" in flight.runner.reason
     assert "it has not taken" not in flight.runner.reason
     assert world.truth.armed.tolist() == [False, True]
 
