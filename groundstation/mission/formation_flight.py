@@ -258,7 +258,7 @@ class FormationFlight:
         guidance = self._guide.formation(poses, self._sized_task(self._task), course)
         self._room = guidance.room
         if forming:
-            self._get_out(guidance.sensed, absent | self.gone, course=course)
+            self._get_out(guidance.sensed, absent | self.gone, course)
         return FormationTick(guidance.vel_ned_m_s, enter, give_up)
 
     def fly_home(self, poses: Poses, absent: BoolArray, target_ned_m: FloatArray) -> FloatArray:
@@ -273,7 +273,7 @@ class FormationFlight:
         setpoints = self._guide.to_targets(poses, target_ned_m, detours)
         to_goal_enu_m = frames.enu_from_ned(target_ned_m - poses.pos_team_ned_m)
         absent = absent | ~np.isfinite(poses.pos_team_ned_m).all(axis=1)
-        self._get_out(setpoints.sensed, absent, to_goal_enu_m=to_goal_enu_m)
+        self._get_out(setpoints.sensed, absent, to_goal_enu_m)
         return setpoints.vel_ned_m_s
 
     # Roles and gridlocks
@@ -294,27 +294,25 @@ class FormationFlight:
         gain = stage.control_gain / max(1.0, self._size) if self._plan.spec.gain == "auto" else stage.control_gain
         return min(gain, self._able_gain)
 
-    def _get_out(
-        self,
-        sensed: Sensed,
-        absent: BoolArray,
-        *,
-        course: Course | None = None,
-        to_goal_enu_m: FloatArray | None = None,
-    ) -> None:
-        """Finds agents that are locked in, and gets them out: by swaps in formation flight, by detours."""
+    def _get_out(self, sensed: Sensed, absent: BoolArray, way: Course | FloatArray) -> None:
+        """Finds agents that are locked in, and gets them out: by swaps in formation flight, by detours.
+
+        Args:
+            sensed: what each agent knows of itself.
+            absent: vehicles that do not follow, shape (n,).
+            way: the course of formation flight, or from each agent to its own place, ENU, shape (n, 3).
+        """
         locks, ids = self._gridlocks, [vehicle.id for vehicle in self._plan.spec.vehicles]
         locks.sense(sensed, absent)
         self._figures.gridlocks += int(locks.begun.sum())
         if not locks.locked.any():
             return
-        swaps = course is not None and course.stage.swaps
-        if course is not None:
-            free = course.stage.scale.kind == "free"
+        if isinstance(way, Course):
+            free = way.stage.scale.kind == "free"
             seen = sensed.visible & ~self.gone[None]
-            places = own_places(sensed.rel_m, seen, course.points_by_agent_m, free_scale=free)
-            to_goal_enu_m = places.to_own_m
-            pairs = locks.swaps(sensed, places, ~absent) if swaps else []
+            places = own_places(sensed.rel_m, seen, way.points_by_agent_m, free_scale=free)
+            to_goal_enu_m, patience_s = places.to_own_m, locks.params.detour_s
+            pairs = locks.swaps(sensed, places, ~absent) if way.stage.swaps else []
             if pairs:
                 roles = self.role_of_agent.copy()
                 for i, j in pairs:
@@ -323,9 +321,8 @@ class FormationFlight:
                 self._figures.role_swaps += len(pairs)
                 self._fly_as(roles)
                 return
-        if to_goal_enu_m is None:
-            return
-        patience_s = locks.params.home_detour_s if course is None else locks.params.detour_s
+        else:
+            to_goal_enu_m, patience_s = way, locks.params.home_detour_s
         sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s)
         self._figures.detours += len(sent)
         if sent:

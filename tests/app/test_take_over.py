@@ -184,6 +184,17 @@ def test_one_that_comes_down_by_its_failsafe_while_it_is_taken_over_is_told() ->
     _assert_home(flight)
 
 
+def test_where_nobody_tells_its_home_the_missions_own_word_is_taken_and_people_are_told() -> None:
+    plan = four()
+    world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_holds)
+    world.muted["HOME_POSITION"] = np.ones(4, dtype=np.bool_)
+    flight = Flight(plan, world=world, take_over=True)
+    assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
+    trust = [text for text in flight.texts("info") if text.endswith("is taken on trust")]
+    assert [text.split(":")[0] for text in trust] == [f"vehicle {k}" for k in (1, 2, 3, 4)]
+    _assert_home(flight)
+
+
 def test_who_is_killed_while_it_is_taken_over_is_asked_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("groundstation.mission.runner._DOWN_MAX_NS", 20 * SECOND_NS)
     asked: list[int] = []

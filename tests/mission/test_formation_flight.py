@@ -118,6 +118,14 @@ def test_a_move_turns_grows_and_is_told() -> None:
     assert team.flight.error_m(team.pos) < 0.05
 
 
+def test_a_move_that_only_moves_is_told_without_a_size() -> None:
+    team = Team(MOVE.format("by_m: [0.2, 0, 0]"))
+    assert team.ends() is Phase.MOVE
+    assert team.ends() is Phase.RETURN
+    assert "told were 0.20 0.00 0.00 m" in team.texts[-1]
+    assert not any("scale changing" in text for text in team.texts)
+
+
 def test_a_move_that_would_leave_the_fence_from_here_does_not_begin() -> None:
     team = Team(MOVE.format("by_m: [0, 0, 0.6]"))
     assert team.ends() is Phase.MOVE
