@@ -227,7 +227,10 @@ class Runner:
         if self._takeoff_ns != NEVER:
             self.figures.flight_time_s = (now_ns - self._takeoff_ns) / _SECOND_NS
         flying = self.phase in AIRBORNE_PHASES and self._takeoff_ns != NEVER
-        if flying and not self._lost_sight(now_ns):
+        sightless = self._sightless_since_ns != NEVER
+        if flying and sightless:
+            self._wait_for_sight(now_ns)
+        elif flying:
             poses = out_of_sight(poses)
             try:
                 poses = self._watch(poses, now_ns)
@@ -247,7 +250,7 @@ class Runner:
         elif self.phase is Phase.SILENT:
             self._guarded(now_ns, self._landing.step, now_ns, poses, self._released)
             self._guarded(now_ns, self._come_down, now_ns)
-        elif self.phase in AIRBORNE_PHASES and self._sightless_since_ns == NEVER:
+        elif self.phase in AIRBORNE_PHASES and not sightless:
             velocity = self._steer(now_ns, poses)
         self._guarded(now_ns, self._killing.step, now_ns)
         streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
@@ -284,17 +287,14 @@ class Runner:
         self._sightless_since_ns = NEVER
         return poses
 
-    def _lost_sight(self, now_ns: int) -> bool:
-        """Whether poses cannot be worked out: everybody stands still for a moment, then is left to its failsafe.
+    def _wait_for_sight(self, now_ns: int) -> None:
+        """Poses cannot be worked out: everybody stands still for a moment, then is left to its failsafe.
 
         What the autopilots do without a ground station was set before takeoff so that they keep clear of each other.
         """
-        if self._sightless_since_ns == NEVER:
-            return False
         if now_ns - self._sightless_since_ns >= _SIGHTLESS_NS:
             self._abort("setpoints end, the autopilots' own failsafe takes over")
             self._enter(Phase.SILENT, now_ns)
-        return True
 
     def _steer(self, now_ns: int, poses: Poses) -> FloatArray:
         """One tick of a phase in the air; whatever goes wrong here, the vehicles get a setpoint: to stand still."""
