@@ -176,7 +176,11 @@ def test_a_single_absurd_report_is_never_steered_by_and_changes_nothing(
 
 @pytest.mark.parametrize(
     ("share", "words"),
-    [(0.0, "its position is "), (1.0, "its position is "), (0.5, "its velocity has changed by 30.0 m/s at once")],
+    [
+        (0.0, "its position is "),
+        (1.0, "its position is "),
+        (0.5, "its velocity has changed by 30.0 m/s at once, more than a vehicle can"),
+    ],
 )
 def test_a_velocity_that_no_vehicle_reaches_at_once_and_that_stays_is_nothing_to_steer_by(
     share: float, words: str
@@ -217,7 +221,7 @@ def test_a_battery_that_nobody_tells_any_more_brings_its_vehicle_back(how: str) 
     scene.tick()
     assert scene.run(9.9, told) == []
     (found,) = scene.run(0.3, told)
-    assert (found.alarms, found.abort) == (["vehicle 5: its battery was last told 10 s ago"], None)
+    assert (found.alarms, found.abort) == (["vehicle 5: its battery was last told 10 s ago, limit 10 s"], None)
     (found,) = scene.run(20.5, told)
     assert found.home == [4]
     assert found.abort == "vehicle 5: its battery was last told 30 s ago, limit 30 s; everybody comes back"

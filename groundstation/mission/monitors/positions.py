@@ -92,7 +92,7 @@ class PoseJump:
             away_m = self._away_m[vehicle]
             what = f"its position is {away_m:.2f} m from where its velocity leads, limit {self._limit_m:.2g} m"
             if away_m <= self._limit_m:
-                what = f"its velocity has changed by {self._kick_m_s[vehicle]:.1f} m/s at once"
+                what = f"its velocity has changed by {self._kick_m_s[vehicle]:.1f} m/s at once, more than a vehicle can"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 
 

@@ -98,7 +98,8 @@ class BatteryAge:
         age_s = (sight.now_ns - self._told_ns) / SECOND_NS
         counts = (self._told_ns != NEVER) & sight.airborne & ours & ~sight.excused
         for vehicle in self._first(counts & (age_s > self._limit_s), sight.now_ns):
-            yield Finding(Reaction.SAY, f"its battery was last told {age_s[vehicle]:.0f} s ago", (vehicle,))
+            what = f"its battery was last told {age_s[vehicle]:.0f} s ago, limit {self._limit_s[vehicle]:.0f} s"
+            yield Finding(Reaction.SAY, what, (vehicle,))
         for vehicle in self._again(counts & (age_s > _BATTERY_LOST * self._limit_s), sight.now_ns):
             limit_s = _BATTERY_LOST * self._limit_s[vehicle]
             what = f"its battery was last told {age_s[vehicle]:.0f} s ago, limit {limit_s:.0f} s"
