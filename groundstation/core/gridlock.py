@@ -140,6 +140,7 @@ class Gridlocks:
         self._ways: list[FloatArray] = [np.zeros((0, 3))] * n
         self._left_s: FloatArray = np.zeros(n)
         self._tries: IntArray = np.zeros(n, dtype=np.int64)
+        self._sent: IntArray = np.zeros(n, dtype=np.int64)
 
     def wishes(self, vel_m_s: FloatArray) -> FloatArray:
         """What agents on a detour wish in place of their own law; NaN rows for all others.
@@ -230,13 +231,16 @@ class Gridlocks:
             sensed: this tick.
             to_goal_m: from each agent to where it belongs, shape (n, 3).
             absent: agents that do not follow, shape (n,).
-            patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves.
+            patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves. Whoever
+                has been sent off k times before takes max(1, k) times as long.
 
         Returns:
             Agents that begin a detour, or back off, now.
         """
-        for i in np.argsort(-self._stuck_s, kind="stable").tolist():
-            if self._stuck_s[i] < patience_s:
+        # Who has been sent off twice had better wait longer each time: detours of many undo each other.
+        over_s = self._stuck_s - patience_s * np.maximum(self._sent, 1)
+        for i in np.argsort(-over_s, kind="stable").tolist():
+            if over_s[i] < 0.0:
                 break
             if float(np.linalg.norm(to_goal_m[i])) < _WORTH_M * self.params.keep_out_m:
                 continue
@@ -265,3 +269,4 @@ class Gridlocks:
         self.detours[agent] = True
         self._stuck_s[agent] = 0.0
         self._tries[agent] += 1
+        self._sent[agent] += 1

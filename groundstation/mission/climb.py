@@ -1,7 +1,8 @@
 """Takeoffs by command, for autopilots that do not lift off by velocity.
 
 Such a vehicle gets no setpoints until its climb is over: they would end it. From then on it gets them without a break,
-like all others. Who climbs by velocity does not come here.
+like all others. Until then nothing keeps it clear of anybody, so it is not asked to climb while another one that
+climbs like it is above its pad. Who climbs by velocity does not come here.
 """
 
 from __future__ import annotations
@@ -23,19 +24,27 @@ class Climb:
 
     Args:
         plan: autopilots.
+        beside_m: horizontal distance from which on nobody is above anybody.
 
     Attributes:
         under_way: has to climb by command and has not arrived, shape (n,).
     """
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: MissionPlan, beside_m: float) -> None:
         self._plan = plan
+        self._beside_m = beside_m
         self.under_way: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
         self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
     def step(
-        self, now_ns: int, fleet: Fleet, commands: CommandQueue, height_m: FloatArray, target_m: FloatArray
+        self,
+        now_ns: int,
+        fleet: Fleet,
+        commands: CommandQueue,
+        pos_team_ned_m: FloatArray,
+        pads_ned_m: FloatArray,
+        target_m: FloatArray,
     ) -> None:
         """Asks those that still stand, and lets go of those that have arrived.
 
@@ -43,9 +52,11 @@ class Climb:
             now_ns: time of this tick.
             fleet: their state.
             commands: what is asked goes out by it.
-            height_m: above the pads, shape (n,).
-            target_m: of the climbs, shape (n,).
+            pos_team_ned_m: where they are, shape (n, 3).
+            pads_ned_m: where they stood, shape (n, 3).
+            target_m: heights of the climbs above the pads, shape (n,).
         """
+        height_m = (pads_ned_m - pos_team_ned_m)[:, 2]
         for vehicle in np.flatnonzero(self.under_way).tolist():
             if height_m[vehicle] >= _THERE * target_m[vehicle]:
                 if self._high_since_ns[vehicle] == NEVER:
@@ -57,8 +68,15 @@ class Climb:
                 fleet.landed_state[vehicle] == LANDED_ON_GROUND
                 and not commands.pending(vehicle)
                 and now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS
+                and not self._somebody_above(vehicle, pos_team_ned_m)
             ):
                 command = self._plan.autopilots[vehicle].takeoff(float(target_m[vehicle]))
                 if command is not None:
                     commands.request(vehicle, command)
                     self._asked_ns[vehicle] = now_ns
+
+    def _somebody_above(self, vehicle: int, pos_team_ned_m: FloatArray) -> bool:
+        """Whether one whose own climb is not over stands or climbs where this one would go."""
+        away = pos_team_ned_m - pos_team_ned_m[vehicle]
+        above = (np.hypot(away[:, 0], away[:, 1]) < self._beside_m) & (away[:, 2] < 0.0)
+        return bool((above & self.under_way).any())

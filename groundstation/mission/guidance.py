@@ -158,6 +158,11 @@ class Guide:
         return self._region.reach_m(0.0)
 
     @property
+    def beside_m(self) -> float:
+        """Horizontal distance from which on two agents are clear of each other at any heights, margin included."""
+        return self._region.radius_m
+
+    @property
     def settle_s(self) -> float:
         """Lag and delay of the slowest vehicle."""
         return self._stopping_s

@@ -29,17 +29,24 @@ _LOST_S = 10.0
 class Landing:
     """Landings of one team.
 
+    Args:
+        plan: autopilots, limits.
+        fleet: their state.
+        commands: what is asked goes out by it.
+        beside_m: horizontal distance from which on nobody is below anybody, what positions may be off included.
+
     Attributes:
         asked: vehicles that were told to land, shape (n,).
         here: vehicles that shall land where they are, one by one, while others still fly, shape (n,): nobody may
             stay under them.
     """
 
-    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
+    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, beside_m: float) -> None:
         n = plan.size
         self.asked: BoolArray = np.zeros(n, dtype=np.bool_)
         self.here: BoolArray = np.zeros(n, dtype=np.bool_)
         self._plan = plan
+        self._beside_m = beside_m
         self._fleet = fleet
         self._commands = commands
         self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
@@ -157,10 +164,9 @@ class Landing:
 
     def _clear_below(self, vehicle: int, poses: Poses) -> bool:
         """Whether nobody else stands or hovers where this vehicle would come down."""
-        radius_m = self._plan.spec.avoidance.radius_m
         away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        beside = np.hypot(away[:, 0], away[:, 1]) >= radius_m
-        above = away[:, 2] < -radius_m
+        beside = np.hypot(away[:, 0], away[:, 1]) >= self._beside_m
+        above = away[:, 2] < -self._beside_m
         beside[vehicle] = True
         return bool((beside | above).all())
 

@@ -102,8 +102,8 @@ class Runner:
         self._frame = TeamFrame(plan)
         self._preflight = Preflight(plan, self._station, self._frame, look_only=look_only)
         self._arming = Arming(plan, self.fleet, self._station.commands)
-        self._climb = Climb(plan)
         self._guide = Guide(plan)
+        self._climb = Climb(plan, self._guide.beside_m)
         self._guide_apart = Guide(plan)  # of those that fly apart from the formation: its setpoints are theirs alone
         self._monitor = Monitor(plan)
         self._check_only = check_only
@@ -116,7 +116,7 @@ class Runner:
         self._notes: list[Note] = [Note("phase", self.phase.value)]
         self._take_over = TakeOver(plan, self._station, self._frame, self._preflight, start_ns)
         self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
-        self._landing = Landing(plan, self.fleet, self._station.commands)
+        self._landing = Landing(plan, self.fleet, self._station.commands, self._guide.beside_m)
         self._killing = Killing(plan, self.fleet, self._station.commands)
         self._faults = 0
         self._sightless_since_ns = NEVER
@@ -414,9 +414,8 @@ class Runner:
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
-        height_m = (self._pads_ned_m - poses.pos_team_ned_m)[:, 2]
         target_m = (self._pads_ned_m - self._flight.gather_ned_m)[:, 2]
-        self._climb.step(now_ns, self.fleet, self._station.commands, height_m, target_m)
+        self._climb.step(now_ns, self.fleet, self._station.commands, poses.pos_team_ned_m, self._pads_ned_m, target_m)
         near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
         if bool((near & ~self._climb.under_way).all()):
             if self._steady(now_ns):
