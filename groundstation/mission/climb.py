@@ -42,6 +42,7 @@ class Climb:
         now_ns: int,
         fleet: Fleet,
         commands: CommandQueue,
+        *,
         pos_team_ned_m: FloatArray,
         pads_ned_m: FloatArray,
         target_m: FloatArray,

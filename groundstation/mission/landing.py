@@ -166,7 +166,7 @@ class Landing:
         """Whether nobody else stands or hovers where this vehicle would come down."""
         away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
         beside = np.hypot(away[:, 0], away[:, 1]) >= self._beside_m
-        above = away[:, 2] < -self._beside_m
+        above = away[:, 2] < 0.0
         beside[vehicle] = True
         return bool((beside | above).all())
 
