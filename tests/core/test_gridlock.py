@@ -189,6 +189,24 @@ def test_one_of_those_who_hold_each_other_sets_out_and_the_other_waits() -> None
     assert np.isnan(wish).all()
 
 
+def test_whoever_is_sent_off_again_and_again_waits_longer_each_time() -> None:
+    locks, sensed = Gridlocks(3, PARAMS), _head_on()
+    goals = np.array([[0.0, 1.5, 0], [0, -1.5, 0], [0, 0, 0]])
+    only_first = np.array([False, True, True])
+    sent_s: list[float] = []
+    for tick in range(10_000):
+        locks.sense(sensed, only_first)
+        locks.wishes(np.zeros((3, 3)))
+        if not locks.detours[0] and locks.begin_detours(sensed, goals, only_first, PARAMS.patience_s):
+            sent_s.append(tick * TICK_S)
+    gaps_s = np.diff(sent_s).tolist()
+    assert len(gaps_s) >= 12
+    assert all(gap_s >= PARAMS.patience_s * k - 1e-9 for k, gap_s in enumerate(gaps_s, start=1))
+    assert gaps_s[-1] > 1.5 * max(gaps_s[:6])
+    locks.forget()
+    assert _until_locked(locks, sensed) <= PARAMS.patience_s + PARAMS.memory_s
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12))
 def test_ways_round_keep_their_distance(seed: int, count: int) -> None:
