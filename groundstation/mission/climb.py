@@ -12,6 +12,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, NEVER, Fleet
+from groundstation.mission.pads import pads_above
 from groundstation.mission.plan import MissionPlan
 
 _ASK_AGAIN_NS = 2_000_000_000
@@ -23,8 +24,8 @@ class Climb:
     """Climbs of those that need a command.
 
     Args:
-        plan: autopilots.
-        beside_m: horizontal distance from which on nobody is above anybody.
+        plan: autopilots, pads.
+        beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
 
     Attributes:
         under_way: has to climb by command and has not arrived, shape (n,).
@@ -32,7 +33,7 @@ class Climb:
 
     def __init__(self, plan: MissionPlan, beside_m: float) -> None:
         self._plan = plan
-        self._beside_m = beside_m
+        self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self.under_way: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
         self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
@@ -42,9 +43,7 @@ class Climb:
         now_ns: int,
         fleet: Fleet,
         commands: CommandQueue,
-        *,
-        pos_team_ned_m: FloatArray,
-        pads_ned_m: FloatArray,
+        height_m: FloatArray,
         target_m: FloatArray,
     ) -> None:
         """Asks those that still stand, and lets go of those that have arrived.
@@ -53,11 +52,9 @@ class Climb:
             now_ns: time of this tick.
             fleet: their state.
             commands: what is asked goes out by it.
-            pos_team_ned_m: where they are, shape (n, 3).
-            pads_ned_m: where they stood, shape (n, 3).
-            target_m: heights of the climbs above the pads, shape (n,).
+            height_m: above the pads, shape (n,).
+            target_m: of the climbs, shape (n,).
         """
-        height_m = (pads_ned_m - pos_team_ned_m)[:, 2]
         for vehicle in np.flatnonzero(self.under_way).tolist():
             if height_m[vehicle] >= _THERE * target_m[vehicle]:
                 if self._high_since_ns[vehicle] == NEVER:
@@ -69,15 +66,9 @@ class Climb:
                 fleet.landed_state[vehicle] == LANDED_ON_GROUND
                 and not commands.pending(vehicle)
                 and now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS
-                and not self._somebody_above(vehicle, pos_team_ned_m)
+                and not (self._pads_above[vehicle] & self.under_way).any()
             ):
                 command = self._plan.autopilots[vehicle].takeoff(float(target_m[vehicle]))
                 if command is not None:
                     commands.request(vehicle, command)
                     self._asked_ns[vehicle] = now_ns
-
-    def _somebody_above(self, vehicle: int, pos_team_ned_m: FloatArray) -> bool:
-        """Whether one whose own climb is not over stands or climbs where this one would go."""
-        away = pos_team_ned_m - pos_team_ned_m[vehicle]
-        above = (np.hypot(away[:, 0], away[:, 1]) < self._beside_m) & (away[:, 2] < 0.0)
-        return bool((above & self.under_way).any())

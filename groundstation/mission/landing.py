@@ -13,10 +13,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.guidance import Poses
+from groundstation.mission.pads import pads_above
 from groundstation.mission.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
@@ -24,13 +26,14 @@ _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking fas
 _STILL_ARMED_NS = 5 * _SECOND_NS  # autopilots disarm by themselves two seconds after landing
 _BLOCKED_MAX_NS = 20 * _SECOND_NS
 _LOST_S = 10.0
+_OVER = 0.5  # over its own pad is who is within this share of the distance that is kept, horizontally
 
 
 class Landing:
     """Landings of one team.
 
     Args:
-        plan: autopilots, limits.
+        plan: autopilots, limits, pads.
         fleet: their state.
         commands: what is asked goes out by it.
         beside_m: horizontal distance from which on nobody is below anybody, what positions may be off included.
@@ -47,6 +50,8 @@ class Landing:
         self.here: BoolArray = np.zeros(n, dtype=np.bool_)
         self._plan = plan
         self._beside_m = beside_m
+        self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
+        self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._fleet = fleet
         self._commands = commands
         self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
@@ -163,12 +168,19 @@ class Landing:
         return f"vehicle {sysid}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"
 
     def _clear_below(self, vehicle: int, poses: Poses) -> bool:
-        """Whether nobody else stands or hovers where this vehicle would come down."""
+        """Whether nobody else stands or hovers where this vehicle would come down.
+
+        Of those who are over their own pads, as this one, the pads say so: pads are where they are.
+        """
         away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        beside = np.hypot(away[:, 0], away[:, 1]) >= self._beside_m
-        above = away[:, 2] < 0.0
-        beside[vehicle] = True
-        return bool((beside | above).all())
+        clear = (np.hypot(away[:, 0], away[:, 1]) >= self._beside_m) | (away[:, 2] < 0.0)
+        off_pads = poses.pos_team_ned_m - self._pads_ned_m
+        over_pad = np.hypot(off_pads[:, 0], off_pads[:, 1]) < _OVER * self._beside_m
+        if over_pad[vehicle]:
+            first = self._pads_above[:, vehicle] & (self._fleet.landed_state != LANDED_ON_GROUND)
+            clear = np.where(over_pad, ~first, clear)
+        clear[vehicle] = True
+        return bool(clear.all())
 
 
 _RING_SHARE, _RINGS, _BEARINGS = 0.25, 80, 24

@@ -414,15 +414,9 @@ class Runner:
 
     def _takeoff(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
+        height_m = (self._pads_ned_m - poses.pos_team_ned_m)[:, 2]
         target_m = (self._pads_ned_m - self._flight.gather_ned_m)[:, 2]
-        self._climb.step(
-            now_ns,
-            self.fleet,
-            self._station.commands,
-            pos_team_ned_m=poses.pos_team_ned_m,
-            pads_ned_m=self._pads_ned_m,
-            target_m=target_m,
-        )
+        self._climb.step(now_ns, self.fleet, self._station.commands, height_m, target_m)
         near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
         if bool((near & ~self._climb.under_way).all()):
             if self._steady(now_ns):
