@@ -1,5 +1,7 @@
 """Brings vehicles down, each when nobody is below it, and knows when the whole team is down.
 
+Of two over their own pads, one pad above the other, the lower one lands first.
+
 Landing where they are, a team may hover in layers: whoever has somebody below moves aside first (``clear_spots``).
 
 A vehicle that nobody has heard from for a while cannot be waited for: it is given up as lost, by name, so that the
