@@ -9,9 +9,9 @@ stands and however it is turned:
    height.
 3. Everybody waits above its pad until the last one has arrived, then all sink onto their pads, which are r apart.
 
-That needs a level for each vehicle below the ceiling. Where there is no room for it, a team in which nobody flies above
-another one lands where it is; any other can only hold until it is taken over, and says so. Refuses to promise anything
-for vehicles whose parameters are not known.
+That needs a level for each vehicle below the ceiling, and pads of which none is above another one. Where there is no
+room for it, a team in which nobody flies above another one lands where it is; any other can only hold until it is taken
+over, and says so. Refuses to promise anything for vehicles whose parameters are not known.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.failsafes import Wish
+from groundstation.mission.pads import pads_above
 from groundstation.mission.stages import roles_for
 
 if TYPE_CHECKING:
@@ -92,23 +93,12 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
     clearance_m = plan.spec.avoidance.radius_m + plan.margin_m
     stacked = any(_stacked(plan.stages[k].formation.points_enu_m, clearance_m) for k in set(plan.stage_of_step))
     back = _returning(plan, roles, clearance_m)
-    ceiling_m = spec.ceiling_m if spec.ceiling_m is not None else plan.spec.fence.max_m[2]
-    several = len(set(plan.stage_of_step)) > 1 or bool(plan.moves)
-    fits = back.top_m <= ceiling_m and back.in_time and not several
-    room = (
-        "a mission of several formations, or with moves, leaves open who flies above whom"
-        if several
-        else f"{plan.size} vehicles that return one above the other need {back.top_m:.1f} m of height, there are"
-        f" {ceiling_m:g} m (failsafe.ceiling_m)"
-        if back.top_m > ceiling_m
-        else f"{plan.size} vehicles that return one after the other take too long for their autopilots"
-    )
+    obstacle = _against_returning(plan, back)
     action, problem = spec.action, None
     if action == "auto":
-        action = "return" if fits else "hold" if stacked else "land"
-    elif action == "return" and not fits:
-        remedy = "let them hold" if several else "raise failsafe.ceiling_m, or let them hold"
-        problem = f"failsafe.action: return: {room}; {remedy}"
+        action = "return" if obstacle is None else "hold" if stacked else "land"
+    elif action == "return" and obstacle is not None:
+        problem = f"failsafe.action: return: {obstacle[0]}; {obstacle[1]}"
     elif action == "land" and stacked:
         problem = "failsafe.action: land: the upper vehicles would land on the lower ones; let them return or hold"
     down_s, words = {
@@ -121,7 +111,11 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
             spec.hold_s + _top_m(plan) / _SINK_M_S + _SETTLE_S,
             f"they are asked to hold for {spec.hold_s:g} s and land where they are",
         ),
-        "hold": (math.inf, f"they are asked to hold until they are taken over or their batteries are low: {room}"),
+        "hold": (
+            math.inf,
+            "they are asked to hold until they are taken over or their batteries are low"
+            + (f": {obstacle[0]}" if obstacle is not None else ""),
+        ),
         "own": (math.inf, "they do what their own parameters say"),
     }[action]
     home_m = plan.pads_enu_m[:, 2]
@@ -157,6 +151,26 @@ def out_of_turn(failsafe: FailsafePlan, heights_m: FloatArray) -> list[tuple[int
     sooner = after_s[:, None] < after_s[None, :]
     lower = heights_m[:, None] < heights_m[None, :] - _SAME_M
     return [(int(i), int(j)) for i, j in np.argwhere(sooner & lower)]
+
+
+def _against_returning(plan: MissionPlan, back: _Return) -> tuple[str, str] | None:
+    """Why the team cannot return one above the other, and what helps; None where it can."""
+    spec = plan.spec.failsafe
+    ceiling_m = spec.ceiling_m if spec.ceiling_m is not None else plan.spec.fence.max_m[2]
+    if len(set(plan.stage_of_step)) > 1 or plan.moves:
+        return "a mission of several formations, or with moves, leaves open who flies above whom", "let them hold"
+    if pads_above(plan.pads_enu_m, plan.spec.avoidance.radius_m).any():
+        return (
+            "pads lie one above the other, and all vehicles sink onto them at once",
+            "move the pads apart, or let them hold",
+        )
+    higher = "raise failsafe.ceiling_m, or let them hold"
+    if back.top_m > ceiling_m:
+        needed = f"{plan.size} vehicles that return one above the other need {back.top_m:.1f} m of height"
+        return f"{needed}, there are {ceiling_m:g} m (failsafe.ceiling_m)", higher
+    if not back.in_time:
+        return f"{plan.size} vehicles that return one after the other take too long for their autopilots", higher
+    return None
 
 
 def _stacked(points_enu_m: FloatArray, clearance_m: float) -> bool:
