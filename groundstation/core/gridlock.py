@@ -219,26 +219,28 @@ class Gridlocks:
             self._undo_s[i, j] = self._undo_s[j, i] = self.params.undo_s
             self._pause_s[both] = self.params.pause_s
             self._stuck_s[both] = 0.0
-            self._tries[both] = 0
+            self._tries[both] = self._sent[both] = 0
             self.detours[both] = False
             self.locked[both] = False
         return pairs
 
-    def begin_detours(self, sensed: Sensed, to_goal_m: FloatArray, absent: BoolArray, patience_s: float) -> list[int]:
+    def begin_detours(
+        self, sensed: Sensed, to_goal_m: FloatArray, absent: BoolArray, patience_s: float, *, rarer: bool
+    ) -> list[int]:
         """Sends agents that are locked in on detours; one at most in a tick, for planning takes time.
 
         Args:
             sensed: this tick.
             to_goal_m: from each agent to where it belongs, shape (n, 3).
             absent: agents that do not follow, shape (n,).
-            patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves. Whoever
-                has been sent off k times before takes max(1, k) times as long.
+            patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves.
+            rarer: whoever has been sent off k times before takes max(1, k) times as long: where many are near each
+                other one's way out is the next one's gridlock.
 
         Returns:
             Agents that begin a detour, or back off, now.
         """
-        # Who has been sent off twice had better wait longer each time: detours of many undo each other.
-        over_s = self._stuck_s - patience_s * np.maximum(self._sent, 1)
+        over_s = self._stuck_s - patience_s * (np.maximum(self._sent, 1) if rarer else 1)
         for i in np.argsort(-over_s, kind="stable").tolist():
             if over_s[i] < 0.0:
                 break

@@ -1,8 +1,9 @@
 """Takeoffs by command, for autopilots that do not lift off by velocity.
 
 Such a vehicle gets no setpoints until its climb is over: they would end it. From then on it gets them without a break,
-like all others. Until then nothing keeps it clear of anybody, so it is not asked to climb while another one that
-climbs like it is above its pad. Who climbs by velocity does not come here.
+like all others. Until then nothing keeps it clear of anybody: it is not asked to climb before whoever has a pad above
+its own is ahead: has left the ground, if it climbs by command as well (those that wait are armed, and disarm by
+themselves after ten seconds), or is at its height. Who climbs by velocity does not come here.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class Climb:
     def __init__(self, plan: MissionPlan, beside_m: float) -> None:
         self._plan = plan
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
-        self.under_way: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
+        self._by_command: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
+        self.under_way: BoolArray = self._by_command.copy()
         self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
@@ -55,8 +57,10 @@ class Climb:
             height_m: above the pads, shape (n,).
             target_m: of the climbs, shape (n,).
         """
+        high = height_m >= _THERE * target_m
+        ahead = high | (self._by_command & (fleet.landed_state != LANDED_ON_GROUND))
         for vehicle in np.flatnonzero(self.under_way).tolist():
-            if height_m[vehicle] >= _THERE * target_m[vehicle]:
+            if high[vehicle]:
                 if self._high_since_ns[vehicle] == NEVER:
                     self._high_since_ns[vehicle] = now_ns
                 climbing = fleet.landed_state[vehicle] in (LANDED_TAKEOFF, LANDED_ON_GROUND)
@@ -66,7 +70,7 @@ class Climb:
                 fleet.landed_state[vehicle] == LANDED_ON_GROUND
                 and not commands.pending(vehicle)
                 and now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS
-                and not (self._pads_above[vehicle] & self.under_way).any()
+                and bool(ahead[self._pads_above[vehicle]].all())
             ):
                 command = self._plan.autopilots[vehicle].takeoff(float(target_m[vehicle]))
                 if command is not None:

@@ -101,6 +101,7 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
         problem = f"failsafe.action: return: {obstacle[0]}; {obstacle[1]}"
     elif action == "land" and stacked:
         problem = "failsafe.action: land: the upper vehicles would land on the lower ones; let them return or hold"
+    because = f": {obstacle[0]}" if obstacle is not None and spec.action == "auto" else ""
     down_s, words = {
         "return": (
             back.down_s,
@@ -109,12 +110,11 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
         ),
         "land": (
             spec.hold_s + _top_m(plan) / _SINK_M_S + _SETTLE_S,
-            f"they are asked to hold for {spec.hold_s:g} s and land where they are",
+            f"they are asked to hold for {spec.hold_s:g} s and land where they are{because}",
         ),
         "hold": (
             math.inf,
-            "they are asked to hold until they are taken over or their batteries are low"
-            + (f": {obstacle[0]}" if obstacle is not None else ""),
+            f"they are asked to hold until they are taken over or their batteries are low{because}",
         ),
         "own": (math.inf, "they do what their own parameters say"),
     }[action]

@@ -186,6 +186,7 @@ class FormationFlight:
         while self._plan.spec.steps[self._step_index].form is None:
             self._step_index -= 1
         self._figures.converged = False
+        self._gridlocks.forget()
         self.begin_anew(now_ns)
         return ""
 
@@ -323,7 +324,7 @@ class FormationFlight:
                 return
         else:
             to_goal_enu_m, patience_s = way, locks.params.home_detour_s
-        sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s)
+        sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s, rarer=isinstance(way, Course))
         self._figures.detours += len(sent)
         if sent:
             others = ", ".join(str(ids[k]) for k in sent[1:])

@@ -28,7 +28,7 @@ _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking fas
 _STILL_ARMED_NS = 5 * _SECOND_NS  # autopilots disarm by themselves two seconds after landing
 _BLOCKED_MAX_NS = 20 * _SECOND_NS
 _LOST_S = 10.0
-_OVER = 0.5  # over its own pad is who is within this share of the distance that is kept, horizontally
+_OVER = 0.5  # over its own pad is who is within this share of r, horizontally
 
 
 class Landing:
@@ -38,7 +38,7 @@ class Landing:
         plan: autopilots, limits, pads.
         fleet: their state.
         commands: what is asked goes out by it.
-        beside_m: horizontal distance from which on nobody is below anybody, what positions may be off included.
+        beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
 
     Attributes:
         asked: vehicles that were told to land, shape (n,).
@@ -51,13 +51,13 @@ class Landing:
         self.asked: BoolArray = np.zeros(n, dtype=np.bool_)
         self.here: BoolArray = np.zeros(n, dtype=np.bool_)
         self._plan = plan
-        self._beside_m = beside_m
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._fleet = fleet
         self._commands = commands
         self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._first_asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._said_yes: set[tuple[int, str]] = set()
 
@@ -100,9 +100,13 @@ class Landing:
                     self._commands.request(vehicle, autopilot.disarm())
                     self._asked_ns[vehicle] = now_ns
             elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
-                waited_ns = now_ns - int(self._wanted_ns[vehicle])
-                if self._clear_below(vehicle, poses) or waited_ns >= _BLOCKED_MAX_NS:
+                below = self._below(vehicle, poses)
+                # Whoever waits for one that waits itself has its time from when that one is asked.
+                since_ns = max(int(self._wanted_ns[vehicle]), *self._first_asked_ns[below].tolist(), NEVER)
+                if not below.any() or now_ns - since_ns >= _BLOCKED_MAX_NS:
                     self._commands.request(vehicle, autopilot.land())
+                    if not self.asked[vehicle]:
+                        self._first_asked_ns[vehicle] = now_ns
                     self.asked[vehicle] = True
                     self._asked_ns[vehicle] = now_ns
 
@@ -169,20 +173,24 @@ class Landing:
             )
         return f"vehicle {sysid}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"
 
-    def _clear_below(self, vehicle: int, poses: Poses) -> bool:
-        """Whether nobody else stands or hovers where this vehicle would come down.
+    def _below(self, vehicle: int, poses: Poses) -> BoolArray:
+        """Who stands or hovers where this vehicle would come down, shape (n,).
 
-        Of those who are over their own pads, as this one, the pads say so: pads are where they are.
+        Of two over their own pads, one pad above the other, the pads say more than two positions: the upper vehicle
+        waits until the lower one stands, the lower one for nobody who is higher than itself.
         """
+        radius_m = self._plan.spec.avoidance.radius_m
         away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        clear = (np.hypot(away[:, 0], away[:, 1]) >= self._beside_m) | (away[:, 2] < 0.0)
+        beside = np.hypot(away[:, 0], away[:, 1]) >= radius_m
+        below = ~(beside | (away[:, 2] < -radius_m))
         off_pads = poses.pos_team_ned_m - self._pads_ned_m
-        over_pad = np.hypot(off_pads[:, 0], off_pads[:, 1]) < _OVER * self._beside_m
+        over_pad = np.hypot(off_pads[:, 0], off_pads[:, 1]) < _OVER * radius_m
         if over_pad[vehicle]:
-            first = self._pads_above[:, vehicle] & (self._fleet.landed_state != LANDED_ON_GROUND)
-            clear = np.where(over_pad, ~first, clear)
-        clear[vehicle] = True
-        return bool(clear.all())
+            stands = self._fleet.landed_state == LANDED_ON_GROUND
+            below = np.where(over_pad & self._pads_above[:, vehicle], ~stands, below)
+            below = np.where(over_pad & self._pads_above[vehicle], ~stands & ~(away[:, 2] < 0.0), below)
+        below[vehicle] = False
+        return np.asarray(below, dtype=np.bool_)
 
 
 _RING_SHARE, _RINGS, _BEARINGS = 0.25, 80, 24

@@ -10,17 +10,19 @@ import pytest
 from groundstation.core.types import BoolArray, FloatArray
 from tests.app.flights import Flight, four
 
-LOW, HIGH = 0, 1
+PROFILES = {"px4": "px4_quad", "arducopter": "arducopter"}
 
 
-@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
-def test_of_two_on_posts_one_above_the_other_nobody_gets_nearer_than_the_posts_allow(autopilot: str) -> None:
-    profile = {"px4": "px4_quad", "arducopter": "arducopter"}[autopilot]
-    pads = [[0.0, 0.0, 0.4], [0.38, 0.28, 0.9], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]  # the first two 0.47 m apart, level
+@pytest.mark.parametrize(
+    "autopilots",
+    [("px4", "px4", "px4"), ("arducopter", "arducopter", "arducopter"), ("arducopter", "px4", "arducopter")],
+)
+def test_on_stairs_whoever_is_above_climbs_first_and_lands_last(autopilots: tuple[str, ...]) -> None:
+    pads = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.5], [0.0, 0.0, 1.0], [2.0, 0.0, 0.0]]  # neighbours 0.54 m apart
     changes = [
         f"vehicles.{number}.{key}={value}"
-        for number, pad in enumerate(pads)
-        for key, value in (("pad_m", pad), ("autopilot", autopilot), ("profile", profile))
+        for number, (pad, autopilot) in enumerate(zip(pads, (*autopilots, "px4"), strict=True))
+        for key, value in (("pad_m", pad), ("autopilot", autopilot), ("profile", PROFILES[autopilot]))
     ]
     plan = four(*changes, "position_error_m=0.02", "steps.0.form.tolerance_m=0.1", "steps.1.hold.seconds=1")
     up: list[BoolArray] = []
@@ -32,10 +34,11 @@ def test_of_two_on_posts_one_above_the_other_nobody_gets_nearer_than_the_posts_a
 
     flight = Flight(plan, intrude=look, change=lambda config: replace(config, floor_m=0.0))
     assert flight.runner.outcome == "completed"
-    assert flight.meter.figures()["min_distance_m"] > 0.5
+    assert flight.meter.figures()["min_distance_m"] > 0.49
     flying, height_m = np.array(up), np.array(heights)
     lifts, lands = flying.argmax(axis=0), len(flying) - flying[::-1].argmax(axis=0)
-    if autopilot == "arducopter":
-        assert height_m[lifts[LOW], HIGH] > 0.9 + 0.8 * plan.spec.takeoff.height_m
-    assert lands[LOW] < lands[HIGH]
-    assert height_m[lands[LOW], HIGH] > 0.9 + 0.8 * plan.spec.takeoff.height_m
+    for low in (0, 1):
+        if autopilots[low] == "arducopter":
+            assert lifts[low] > lifts[low + 1]
+        assert lands[low] < lands[low + 1]
+        assert height_m[lands[low], low + 1] > pads[low + 1][2] + 0.8 * plan.spec.takeoff.height_m

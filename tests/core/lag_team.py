@@ -203,7 +203,7 @@ class WayOut:
             roles[[i, j]] = roles[[j, i]]
             self.swaps.append((now_s, i, j))
         if self._chain.detours and not pairs:
-            sent = self.locks.begin_detours(sensed, own.to_own_m, nobody, self.locks.params.detour_s)
+            sent = self.locks.begin_detours(sensed, own.to_own_m, nobody, self.locks.params.detour_s, rarer=True)
             self.sent += len(sent)
         return roles
 

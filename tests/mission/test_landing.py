@@ -1,0 +1,106 @@
+"""Who may come down when: nobody onto anybody, whatever the pads are, and nobody waits for ever."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from groundstation.app.resources import packaged_configs
+from groundstation.core import frames
+from groundstation.mavlink.commands import Command, CommandQueue
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
+from groundstation.mission.guidance import Guide, Poses
+from groundstation.mission.landing import Landing
+from groundstation.mission.plan import load_mission
+
+SECOND_NS = 1_000_000_000
+IN_AIR = 2
+FLAT = [[0.0, 0.0, 0.0], [0.56, 0.0, 0.0]]
+POSTS = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.6]]
+
+
+class _Wishes(CommandQueue):
+    """Commands that nobody takes to anybody."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__(n)
+        self.asked: list[tuple[int, str]] = []
+
+    def request(self, vehicle: int, command: Command) -> None:
+        self.asked.append((vehicle, command.name))
+
+
+class _Team:
+    """Two vehicles on the first two pads, the others far away on the ground; all want to land at the first instant."""
+
+    def __init__(self, pads: list[list[float]]) -> None:
+        pads = [*pads, *([5.0 + 2.0 * k, 5.0, 0.0] for k in range(6))]
+        vehicles = [
+            {"id": k + 1, "link": "udpin://127.0.0.1:14540", "autopilot": "px4", "profile": "px4_quad", "pad_m": pad}
+            for k, pad in enumerate(pads)
+        ]
+        mission = packaged_configs() / "missions" / "cube8.yaml"
+        wide = (
+            "fence.max_m=[20,20,9]",
+            "failsafe.action=hold",
+            "position_error_m=0.02",
+            "steps.0.form.tolerance_m=0.1",
+        )
+        self.plan = load_mission(mission, (f"vehicles={json.dumps(vehicles)}", *wide))
+        self.fleet = Fleet([vehicle.id for vehicle in self.plan.spec.vehicles], self.plan.link_of_vehicle)
+        self.fleet.armed[:2] = True
+        self.fleet.landed_state[:] = LANDED_ON_GROUND
+        self.fleet.landed_state[:2] = IN_AIR
+        self.wishes = _Wishes(8)
+        self.landing = Landing(self.plan, self.fleet, self.wishes, Guide(self.plan).beside_m)
+        self.landing.want([0, 1], 0)
+        self.pos_enu_m = np.array(pads)
+
+    def asked(self, now_s: float) -> list[int]:
+        """Who is asked to land at this instant."""
+        still = np.tile([1.0, 0, 0, 0], (8, 1))
+        nobody = np.zeros(8, dtype=np.bool_)
+        poses = Poses(frames.ned_from_enu(self.pos_enu_m), np.zeros((8, 3)), still, nobody)
+        self.wishes.asked.clear()
+        self.landing.step(round(now_s * SECOND_NS), poses, nobody)
+        return [vehicle for vehicle, _ in self.wishes.asked]
+
+
+@pytest.mark.parametrize("towards_m", [0.0, 0.1, 0.2])
+def test_over_its_pad_or_not_nobody_lands_on_who_is_below(towards_m: float) -> None:
+    team = _Team(FLAT)
+    team.pos_enu_m[:2] = [[towards_m, 0.0, 0.4], [0.56 - towards_m, 0.0, 0.9]]
+    beside = 0.56 - 2.0 * towards_m >= 0.45
+    assert team.asked(0.0) == ([0, 1] if beside else [0])
+    if not beside:
+        assert team.asked(19.9) == [0]
+        assert team.asked(20.1) == [1]
+
+
+def test_who_is_on_the_upper_post_waits_until_the_lower_one_stands() -> None:
+    team = _Team(POSTS)
+    team.pos_enu_m[:2] = [[0.0, 0.0, 0.5], [0.2, 0.0, 1.1]]
+    assert team.asked(0.0) == [0]
+    team.pos_enu_m[0, 2] = 0.05
+    assert 1 not in team.asked(5.0)
+    team.pos_enu_m[0, 2] = 0.0
+    team.fleet.landed_state[0] = LANDED_ON_GROUND
+    assert 1 in team.asked(6.0)
+
+
+def test_who_is_on_the_upper_post_has_its_time_from_when_the_lower_one_is_asked() -> None:
+    team = _Team(POSTS)
+    # Somebody stands under the lower one, so that it is asked late itself.
+    team.pos_enu_m[:3] = [[0.0, 0.0, 0.5], [0.2, 0.0, 1.1], [0.0, 0.3, 0.0]]
+    assert team.asked(0.0) == []
+    assert team.asked(20.1) == [0]
+    assert team.asked(39.9) == [0]
+    assert 1 in team.asked(40.2)
+
+
+def test_who_flies_below_the_post_that_is_lower_is_waited_for() -> None:
+    team = _Team(POSTS)
+    team.pos_enu_m[:2] = [[0.0, 0.0, 0.5], [0.2, 0.0, 0.3]]  # a pilot brought the upper one down beside the posts
+    assert 0 not in team.asked(0.0)
