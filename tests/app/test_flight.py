@@ -40,7 +40,7 @@ def _without(datagram: Outgoing, *msgids: int) -> list[Outgoing]:
     return [datagram._replace(data=b"".join(kept))] if kept else []
 
 
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", range(1, 5))
 def test_cube8_is_formed_held_and_landed_on_the_pads_at_every_seed(seed: int) -> None:
     flight = Flight(cube8(), seed=seed, chatter=True)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
