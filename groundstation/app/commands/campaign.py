@@ -232,8 +232,9 @@ def _fly_one(out: Output, cases: Cases, run: int, log: Path | None) -> None:
     with threadpool_limits(1):
         row = fly_case(cases.case(run), log)
     listing = Listing("column", "value", title=f"run {run}")
+    unknown = ("log_mismatches", "log_complete") if row["log_mismatches"] < 0 else ()  # the log was not verified
     for key, value in row.items():
-        if value not in ("", None) and not (isinstance(value, float) and math.isnan(value)):
+        if key not in unknown and value not in ("", None) and not (isinstance(value, float) and math.isnan(value)):
             listing.add_row(key, f"{value:.4f}" if isinstance(value, float) else str(value))
     out.console.print(listing)
     out.result({**row, "log": None if log is None else str(log)})
