@@ -41,12 +41,7 @@ class Climb:
         self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
     def step(
-        self,
-        now_ns: int,
-        fleet: Fleet,
-        commands: CommandQueue,
-        height_m: FloatArray,
-        target_m: FloatArray,
+        self, now_ns: int, fleet: Fleet, commands: CommandQueue, height_m: FloatArray, target_m: FloatArray
     ) -> None:
         """Asks those that still stand, and lets go of those that have arrived.
 

@@ -159,9 +159,15 @@ def _against_returning(plan: MissionPlan, back: _Return) -> tuple[str, str] | No
     ceiling_m = spec.ceiling_m if spec.ceiling_m is not None else plan.spec.fence.max_m[2]
     if len(set(plan.stage_of_step)) > 1 or plan.moves:
         return "a mission of several formations, or with moves, leaves open who flies above whom", "let them hold"
-    if pads_above(plan.pads_enu_m, plan.spec.avoidance.radius_m).any():
+    radius_m = plan.spec.avoidance.radius_m
+    stairs = np.argwhere(pads_above(plan.pads_enu_m, radius_m)).tolist()
+    if stairs:
+        low, high = stairs[0]
+        beside_m = float(np.hypot(*(plan.pads_enu_m[high] - plan.pads_enu_m[low])[:2]))
+        ids = [vehicle.id for vehicle in plan.spec.vehicles]
         return (
-            "pads lie one above the other, and all vehicles sink onto them at once",
+            f"the pad of vehicle {ids[high]} lies above that of vehicle {ids[low]}, {beside_m:.2f} m beside it, minimum"
+            f" is r = {radius_m:g} m: all vehicles sink at once",
             "move the pads apart, or let them hold",
         )
     higher = "raise failsafe.ceiling_m, or let them hold"

@@ -312,7 +312,7 @@ class FormationFlight:
             free = way.stage.scale.kind == "free"
             seen = sensed.visible & ~self.gone[None]
             places = own_places(sensed.rel_m, seen, way.points_by_agent_m, free_scale=free)
-            to_goal_enu_m, patience_s = places.to_own_m, locks.params.detour_s
+            to_goal_enu_m, patience_s, rarer = places.to_own_m, locks.params.detour_s, True
             pairs = locks.swaps(sensed, places, ~absent) if way.stage.swaps else []
             if pairs:
                 roles = self.role_of_agent.copy()
@@ -323,8 +323,8 @@ class FormationFlight:
                 self._fly_as(roles)
                 return
         else:
-            to_goal_enu_m, patience_s = way, locks.params.home_detour_s
-        sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s, rarer=isinstance(way, Course))
+            to_goal_enu_m, patience_s, rarer = way, locks.params.home_detour_s, False
+        sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s, rarer=rarer)
         self._figures.detours += len(sent)
         if sent:
             others = ", ".join(str(ids[k]) for k in sent[1:])

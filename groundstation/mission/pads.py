@@ -10,8 +10,8 @@ from groundstation.core.types import BoolArray, FloatArray
 def pads_above(pads_enu_m: FloatArray, beside_m: float) -> BoolArray:
     """Which pads are so near and higher that whoever is over one of the two is not clear of the other at any height.
 
-    Of such a pair the upper one has to take off first and to land last: then the two vehicles are never nearer to each
-    other than their pads are.
+    Of such a pair the upper one has to take off first and to land last: in that order each one's height above its pad
+    only adds to what keeps the two apart.
 
     Args:
         pads_enu_m: shape (n, 3).

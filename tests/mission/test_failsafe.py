@@ -83,7 +83,12 @@ def test_pads_of_different_heights_count_from_each_home() -> None:
         ("first_flight2", ("failsafe.ceiling_m=30",), "return", None),
         ("cube8", ("failsafe.hold_s=60", "failsafe.ceiling_m=6"), "return", None),
         ("cube8", ("vehicles.1.pad_m=[-0.9, -1, 0.6]",), "hold", None),
-        ("cube8", ("vehicles.1.pad_m=[-0.9, -1, 0.6]", "failsafe.action=return"), "return", "move the pads apart"),
+        (
+            "cube8",
+            ("vehicles.1.pad_m=[-0.9, -1, 0.6]", "failsafe.action=return"),
+            "return",
+            "the pad of vehicle 2 lies above that of vehicle 1, 0.10 m beside it, minimum is r = 0.45 m",
+        ),
     ],
 )
 def test_what_is_chosen(name: str, changes: tuple[str, ...], action: str, problem: str | None) -> None:
