@@ -41,14 +41,12 @@ class Landing:
         beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
 
     Attributes:
-        asked: vehicles that were told to land, shape (n,).
         here: vehicles that shall land where they are, one by one, while others still fly, shape (n,): nobody may
             stay under them.
     """
 
     def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, beside_m: float) -> None:
         n = plan.size
-        self.asked: BoolArray = np.zeros(n, dtype=np.bool_)
         self.here: BoolArray = np.zeros(n, dtype=np.bool_)
         self._plan = plan
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
@@ -60,6 +58,11 @@ class Landing:
         self._first_asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._said_yes: set[tuple[int, str]] = set()
+
+    @property
+    def asked(self) -> BoolArray:
+        """Vehicles that were told to land, shape (n,)."""
+        return np.asarray(self._first_asked_ns != NEVER)
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""
@@ -105,9 +108,8 @@ class Landing:
                 since_ns = max(int(self._wanted_ns[vehicle]), *self._first_asked_ns[below].tolist(), NEVER)
                 if not below.any() or now_ns - since_ns >= _BLOCKED_MAX_NS:
                     self._commands.request(vehicle, autopilot.land())
-                    if not self.asked[vehicle]:
+                    if self._first_asked_ns[vehicle] == NEVER:
                         self._first_asked_ns[vehicle] = now_ns
-                    self.asked[vehicle] = True
                     self._asked_ns[vehicle] = now_ns
 
     def disarm_on_the_ground(self, now_ns: int) -> None:
