@@ -16,7 +16,7 @@ from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, decode, encode_batch
 from groundstation.mavlink.station import Outgoing
-from groundstation.mission.plan import load_mission
+from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.runner import Runner
 from sitl.world import World
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from groundstation.mission.check_table import CheckRow
+from groundstation.mission.ground.check_table import CheckRow
 
 _COLUMNS = (
     "vehicle", "role", "firmware", "mode", "heard", "estimator", "pose", "off pad", "rates", "clock", "battery",

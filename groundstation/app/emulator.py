@@ -18,8 +18,8 @@ from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
 from groundstation.core.regions import SafetySphere
-from groundstation.mission.failsafe import make_failsafe
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.ground.failsafe import make_failsafe
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
 from sitl.faults import Fault, FaultError, load_faults

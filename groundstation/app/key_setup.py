@@ -13,7 +13,7 @@ from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
 from groundstation.mavlink.signing import SecretKey, Signing, Verdict, timestamp_at
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _AGAIN_NS = 1_000_000_000
 _ARMED_FLAG = 0x80

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from groundstation.app.session import Session
 from groundstation.links.link import Link
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Note, Phase
 
 _REFRESH_NS = 200_000_000

@@ -13,7 +13,7 @@ from groundstation.core.errors import UserError
 from groundstation.mavlink.gate import Gate, SignedLink
 from groundstation.mavlink.keys import read_key, read_times, times_path, write_times
 from groundstation.mavlink.signing import MINUTE, SecretKey, Signing, Times
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 
 class FlightGate(Gate):

@@ -14,7 +14,7 @@ import numpy as np
 
 from groundstation.core.errors import CheckFailed, UserError
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, flagged, message_id
-from groundstation.mission.plan import plan_from_record
+from groundstation.mission.plan.plan import plan_from_record
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import Noise, Operator, Received, Sent, Tick

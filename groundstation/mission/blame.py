@@ -11,7 +11,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.vehicle import Fleet
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _IN_FULL = 4  # of one flight; the alarms have everybody's words
 HELP_IN_THE_AIR = "take it over (gs fly --take-over) or fly it down"

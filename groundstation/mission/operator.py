@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from groundstation.mission.state import Phase
+from groundstation.mission.phases.phase import Phase
 
 
 class Order(Enum):

@@ -21,22 +21,22 @@ from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
-from groundstation.mission.arming import Arming
 from groundstation.mission.blame import HELP_IN_THE_AIR, Blame, still_flying
-from groundstation.mission.check_table import CheckRow
-from groundstation.mission.climb import Climb
-from groundstation.mission.failsafe import FailsafePlan, out_of_turn
-from groundstation.mission.formation_flight import FormationFlight
-from groundstation.mission.guidance import Guide, Poses
-from groundstation.mission.killing import Killing
-from groundstation.mission.landing import Landing, clear_spots
-from groundstation.mission.monitor import Monitor, Sight
+from groundstation.mission.flight.climb import Climb
+from groundstation.mission.flight.formation_flight import FormationFlight
+from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.killing import Killing
+from groundstation.mission.flight.landing import Landing, clear_spots
+from groundstation.mission.flight.team_frame import TeamFrame
+from groundstation.mission.ground.check_table import CheckRow
+from groundstation.mission.ground.failsafe import FailsafePlan, out_of_turn
+from groundstation.mission.ground.preflight import REASONS_NS, Preflight
+from groundstation.mission.monitors.board import Monitor, Sight
 from groundstation.mission.operator import OperatorCommand, Order, parse_command, refusal
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.poses import TeamFrame
-from groundstation.mission.preflight import REASONS_NS, Preflight
-from groundstation.mission.state import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
-from groundstation.mission.takeover import TakeOver, out_of_sight
+from groundstation.mission.phases.arming import Arming
+from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
+from groundstation.mission.phases.take_over import TakeOver, out_of_sight
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.words import Words
 
 __all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]

@@ -15,7 +15,7 @@ from rich.console import Console
 from groundstation.app.check_screen import show_rows
 from groundstation.app.emulator import world_config
 from groundstation.app.output import Output
-from groundstation.mission.check_table import CheckRow
+from groundstation.mission.ground.check_table import CheckRow
 from sitl.server import Server
 from tests.app.commands import gs
 from tests.app.flights import pair

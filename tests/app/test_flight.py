@@ -17,8 +17,8 @@ from groundstation.app.session import Session
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
-from groundstation.mission.guidance import Guide, Poses, Setpoints
-from groundstation.mission.monitor import Findings, Monitor, Sight
+from groundstation.mission.flight.guidance import Guide, Poses, Setpoints
+from groundstation.mission.monitors.board import Findings, Monitor, Sight
 from groundstation.mission.runner import Phase, Runner
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, cube8, pair

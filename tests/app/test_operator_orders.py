@@ -15,9 +15,9 @@ import pytest
 from groundstation.app.emulator import world_config
 from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.phases.phase import Note
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
-from groundstation.mission.state import Note
 from sitl.world import World
 from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, four, pair
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.mission.phases.phase import Note
 from groundstation.mission.runner import Phase, Runner
-from groundstation.mission.state import Note
 from tests.app.flights import Flight, after, pair
 
 PARTS = (

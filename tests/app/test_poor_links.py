@@ -18,7 +18,7 @@ from groundstation.app.verify import verify_log
 from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Encoder, FrameSplitter, decode, message_id
 from groundstation.mavlink.codec import Frame as WireFrame
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.replay import load_flight
 from sitl.autopilot import Autopilot

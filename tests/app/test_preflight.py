@@ -15,7 +15,7 @@ from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
 from groundstation.mavlink.codec import Encoder, FrameSplitter, decode, message_id
 from groundstation.mavlink.codec import Frame as WireFrame
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from sitl.faults import Fault
 from sitl.network import LinkConfig

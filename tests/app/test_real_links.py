@@ -24,7 +24,7 @@ from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter

@@ -21,7 +21,7 @@ from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter
 from groundstation.mavlink.keys import new_key, read_key, read_times, times_path
 from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at, timestamp_of
 from groundstation.mavlink.station import Outgoing
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from groundstation.records.notes import Received, Refused, Sent
 from groundstation.records.tlog import read_tlog

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from sitl.world import World
 from tests.app.flights import SECOND_NS, Flight
 

@@ -13,7 +13,7 @@ import pytest
 
 from groundstation.core import control, metrics
 from groundstation.core.formation import Formation, Gains
-from groundstation.mission.positioning import margin_m
+from groundstation.mission.plan.positioning import margin_m
 from tests.core.lag_team import (
     CRAZYFLIE,
     KINEMATIC,

@@ -7,11 +7,11 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mission.failsafe import first_roles
-from groundstation.mission.formation_flight import FormationFlight
-from groundstation.mission.guidance import Guide, Poses
-from groundstation.mission.plan import load_mission
-from groundstation.mission.state import Figures, Phase
+from groundstation.mission.flight.formation_flight import FormationFlight
+from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.ground.failsafe import first_roles
+from groundstation.mission.phases.phase import Figures, Phase
+from groundstation.mission.plan.plan import load_mission
 
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 TICK_NS = 20_000_000
@@ -88,7 +88,7 @@ def test_a_graph_that_those_left_do_not_hold_together_is_no_formation(monkeypatc
         raise ValueError("falls into two")
 
     team = Team("on_lost=continue_open")
-    monkeypatch.setattr("groundstation.mission.formation_flight.task_for_those_left", broken)
+    monkeypatch.setattr("groundstation.mission.flight.formation_flight.task_for_those_left", broken)
     assert team.flight.leave([3], 0) == "falls into two"
 
 

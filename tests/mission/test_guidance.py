@@ -9,8 +9,8 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.control import task_for_roles
-from groundstation.mission.guidance import Course, Guide, Poses
-from groundstation.mission.plan import load_mission
+from groundstation.mission.flight.guidance import Course, Guide, Poses
+from groundstation.mission.plan.plan import load_mission
 
 PLAN = load_mission(packaged_configs() / "missions" / "cube8.yaml")
 
@@ -94,7 +94,7 @@ def test_large_teams_are_guided_as_small_ones_are(monkeypatch: pytest.MonkeyPatc
         course = Course(plan.stages[0], plan.control_gain, plan.formation.points_enu_m)
         told = []
         for many in (64, 2):
-            monkeypatch.setattr("groundstation.mission.guidance._MANY", many)
+            monkeypatch.setattr("groundstation.mission.flight.guidance._MANY", many)
             guide = Guide(plan)
             for _ in range(10):
                 formed = guide.formation(calm, task, course)

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from groundstation.app.resources import packaged_configs
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, NEVER, Fleet
-from groundstation.mission.guidance import Poses
-from groundstation.mission.monitor import Monitor
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.monitors.board import Monitor
 from groundstation.mission.monitors.findings import Findings, Lasting, Sight
 from groundstation.mission.monitors.flight import bounded_growth_m
 from groundstation.mission.monitors.positions import PoseJump
-from groundstation.mission.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan, load_mission
 
 SECOND_NS = 1_000_000_000
 TICK_NS = 20_000_000

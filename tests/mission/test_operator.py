@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.mission.operator import REFUSED, Order, parse_command, refusal
-from groundstation.mission.state import Phase
+from groundstation.mission.phases.phase import Phase
 
 IDS = [3, 5, 12]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from groundstation.app.resources import packaged_configs
 from groundstation.mavlink.vehicle import LANDED_IN_AIR
-from groundstation.mission.plan import load_mission
+from groundstation.mission.phases.take_over import TakeOverState
+from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.runner import Runner
-from groundstation.mission.takeover import TakeOverState
 
 SECOND_NS = 1_000_000_000
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.mavlink.autopilots import AUTOPILOTS
-from groundstation.mission.failsafe import make_failsafe
+from groundstation.mission.ground.failsafe import make_failsafe
 from tests.app.flights import mission
 
 _DOC = Path(__file__).parents[2] / "docs" / "vehicles.md"

@@ -13,11 +13,11 @@ import numpy as np
 
 from groundstation.app.campaign.cases import Case
 from groundstation.core.types import FloatArray
-from groundstation.mission.failsafe import first_roles
-from groundstation.mission.formation_flight import FormationFlight
-from groundstation.mission.guidance import Guide, Poses
-from groundstation.mission.plan import MissionPlan, plan_from_record
-from groundstation.mission.state import Figures, Phase
+from groundstation.mission.flight.formation_flight import FormationFlight
+from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.ground.failsafe import first_roles
+from groundstation.mission.phases.phase import Figures, Phase
+from groundstation.mission.plan.plan import MissionPlan, plan_from_record
 
 _SECOND_NS = 1_000_000_000
 _NAME = "kinematic"

@@ -29,7 +29,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
 from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import (
     DRY_RUN_EPOCH_UNIX_US,

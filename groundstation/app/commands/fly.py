@@ -27,7 +27,7 @@ from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate, open_gate
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 from groundstation.links.opening import open_link
-from groundstation.mission.plan import MissionPlan, load_mission, read_spec
+from groundstation.mission.plan.plan import MissionPlan, load_mission, read_spec
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
     DRY_RUN_EPOCH_UNIX_US,

@@ -1,1 +1,1 @@
-"""What can be wrong in the air: one small class for each monitor. They look and say; ``monitor`` and the runner act."""
+"""What can be wrong in the air: one small class for each monitor. They look and say, the runner acts."""

@@ -12,7 +12,7 @@ from groundstation.core.limits import Fence
 from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
 _SMOOTH_S = 1.0

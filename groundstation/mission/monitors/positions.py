@@ -13,9 +13,9 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
-from groundstation.mission.guidance import Poses
+from groundstation.mission.flight.guidance import Poses
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _FORGETS_S = 3.0
 _SUSPECT_S = 0.3

@@ -14,11 +14,11 @@ from groundstation.core import frames
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import NEVER, UNKNOWN
-from groundstation.mission.battery_need import battery_needs
-from groundstation.mission.failsafe import FailsafePlan, make_failsafe
-from groundstation.mission.parameters import ParameterCheck
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.standing import pad_words, too_near
+from groundstation.mission.ground.battery_need import battery_needs
+from groundstation.mission.ground.failsafe import FailsafePlan, make_failsafe
+from groundstation.mission.ground.parameters import ParameterCheck
+from groundstation.mission.ground.standing import pad_words, too_near
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _ASK_NS = 2 * _SECOND_NS

@@ -12,7 +12,7 @@ import numpy as np
 
 from groundstation.core.metrics import size_ratios
 from groundstation.core.types import FloatArray
-from groundstation.mission.stages import Stage, shortest_m
+from groundstation.mission.plan.stages import Stage, shortest_m
 
 Sizes = tuple[float, float]
 """Level and upright, against the formation's points; NaN where unknown or where a formation is flat."""

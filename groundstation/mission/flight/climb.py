@@ -13,8 +13,8 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, NEVER, Fleet
-from groundstation.mission.pads import pads_above
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.pads import pads_above
+from groundstation.mission.plan.plan import MissionPlan
 
 _ASK_AGAIN_NS = 2_000_000_000
 _THERE = 0.85  # of the height: from here on setpoints do the rest

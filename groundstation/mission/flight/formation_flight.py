@@ -21,12 +21,12 @@ from groundstation.core.places import own_places
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
-from groundstation.mission.free_size import Sizes, missed, sizes_of, stands_at
-from groundstation.mission.guidance import Course, Guide, Poses
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.schema import FormStep, HoldStep, Step
-from groundstation.mission.stages import Stage, roles_for
-from groundstation.mission.state import Figures, Phase
+from groundstation.mission.flight.free_size import Sizes, missed, sizes_of, stands_at
+from groundstation.mission.flight.guidance import Course, Guide, Poses
+from groundstation.mission.phases.phase import Figures, Phase
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.schema import FormStep, HoldStep, Step
+from groundstation.mission.plan.stages import Stage, roles_for
 
 _SECOND_NS = 1_000_000_000
 _STEADY_NS = _SECOND_NS  # how long the formation has to stand before the team believes it

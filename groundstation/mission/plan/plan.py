@@ -32,12 +32,12 @@ from groundstation.design.store import (
 )
 from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
-from groundstation.mission.budget import LinkRates, fit_rates, frame_bytes
-from groundstation.mission.overrides import override_value
-from groundstation.mission.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
-from groundstation.mission.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
-from groundstation.mission.schema import MissionSpec
-from groundstation.mission.stages import Shape, Stage, check_clearance, check_shape, make_stages, plan_moves
+from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
+from groundstation.mission.plan.overrides import override_value
+from groundstation.mission.plan.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
+from groundstation.mission.plan.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
+from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mission.plan.stages import Shape, Stage, check_clearance, check_shape, make_stages, plan_moves
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
 _POSE_HZ = 50.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from groundstation.mavlink.failsafes import Finding, Rule, plain
 from groundstation.mavlink.params import ParamState, bits_of_value, value_of_bits
 from groundstation.mavlink.station import Station
-from groundstation.mission.budget import frame_bytes
-from groundstation.mission.failsafe import FailsafePlan
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.ground.failsafe import FailsafePlan
+from groundstation.mission.plan.budget import frame_bytes
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _SPARE = 0.1  # of a link that these questions may use: the streams have the rest

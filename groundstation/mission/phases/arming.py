@@ -14,7 +14,7 @@ import numpy as np
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import NEVER, Fleet
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark

@@ -22,9 +22,9 @@ from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan, least_seconds
 from groundstation.core.regions import SafetyRegion, UprightRegion
 from groundstation.core.types import FloatArray, IntArray
-from groundstation.mission.positioning import all_offsets, check_radius
-from groundstation.mission.profiles import VehicleProfile
-from groundstation.mission.schema import MissionSpec, MoveStep, ScaleSpec
+from groundstation.mission.plan.positioning import all_offsets, check_radius
+from groundstation.mission.plan.profiles import VehicleProfile
+from groundstation.mission.plan.schema import MissionSpec, MoveStep, ScaleSpec
 
 MOVE_SHARE = 0.5
 """Share of the speed and acceleration limits that a move may ask for; the rest is for keeping the formation."""

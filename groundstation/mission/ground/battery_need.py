@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.core.assignment import fixed_roles
-from groundstation.mission.failsafe import FailsafePlan
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.ground.failsafe import FailsafePlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _SPARE = 4.0 / 3.0
 _DETOUR = 2.0  # ways in a formation are no straight lines: everybody gives way

@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, IntArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import NEVER, Fleet
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _ASK_AGAIN_NS = _SECOND_NS // 2

@@ -19,9 +19,9 @@ from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
-from groundstation.mission.guidance import Poses
-from groundstation.mission.pads import pads_above
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.plan.pads import pads_above
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark

@@ -17,11 +17,11 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
 from groundstation.mission.blame import HELP_IN_THE_AIR
-from groundstation.mission.check_table import CheckRow, check_rows
-from groundstation.mission.checks import Checks
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.poses import TeamFrame
-from groundstation.mission.profiles import approach_rate_1_s
+from groundstation.mission.flight.team_frame import TeamFrame
+from groundstation.mission.ground.check_table import CheckRow, check_rows
+from groundstation.mission.ground.checks import Checks
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.profiles import approach_rate_1_s
 
 _SECOND_NS = 1_000_000_000
 _ENOUGH = 0.6  # of the rate asked for: what a lossy link leaves

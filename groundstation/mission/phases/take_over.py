@@ -23,10 +23,10 @@ from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
-from groundstation.mission.guidance import Poses
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.poses import TeamFrame
-from groundstation.mission.preflight import Preflight
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.team_frame import TeamFrame
+from groundstation.mission.ground.preflight import Preflight
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 LISTEN_NS = 5 * _SECOND_NS

@@ -9,9 +9,9 @@ import numpy as np
 
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import NEVER, UNKNOWN
-from groundstation.mission.checks import Checks
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.poses import TeamFrame
+from groundstation.mission.flight.team_frame import TeamFrame
+from groundstation.mission.ground.checks import Checks
+from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
 

@@ -16,7 +16,7 @@ import numpy as np
 from groundstation.core.errors import UserError
 from groundstation.core.regions import SafetyRegion, SafetySphere
 from groundstation.core.types import FloatArray
-from groundstation.mission.schema import MissionSpec
+from groundstation.mission.plan.schema import MissionSpec
 
 POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
 """Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against

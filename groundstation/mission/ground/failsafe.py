@@ -24,11 +24,11 @@ import numpy as np
 
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.failsafes import Wish
-from groundstation.mission.pads import pads_above
-from groundstation.mission.stages import roles_for
+from groundstation.mission.plan.pads import pads_above
+from groundstation.mission.plan.stages import roles_for
 
 if TYPE_CHECKING:
-    from groundstation.mission.plan import MissionPlan
+    from groundstation.mission.plan.plan import MissionPlan
 
 _STEP_M = 0.1
 _SAME_M = 1e-6

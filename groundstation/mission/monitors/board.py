@@ -13,12 +13,12 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
-from groundstation.mission.guidance import Poses
+from groundstation.mission.flight.guidance import Poses
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Reaction, Sight, Watch
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
-from groundstation.mission.plan import MissionPlan
+from groundstation.mission.plan.plan import MissionPlan
 
 __all__ = ["Findings", "Monitor", "Sight"]
 

@@ -24,9 +24,9 @@ from groundstation.core.near import near_views
 from groundstation.core.places import Places, own_places
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
-from groundstation.mission.plan import MissionPlan
-from groundstation.mission.profiles import approach_rate_1_s
-from groundstation.mission.stages import Stage
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.profiles import approach_rate_1_s
+from groundstation.mission.plan.stages import Stage
 
 _T = TypeVar("_T", bound=np.generic)
 

@@ -1,0 +1,1 @@
+"""What is done in the air: where everybody is, guidance, formation flight, climbing, landing, killing."""
