@@ -23,6 +23,12 @@ $(STAMP): requirements.lock requirements-clients.lock pyproject.toml
 fly: $(STAMP)
 	$(BIN)/gs fly --mission cube8.yaml --dry-run --seed 1 --log flights/cube8.tlog
 	$(BIN)/gs report flights/cube8.tlog -o flights/cube8-report
+	@echo
+	@echo 'Next, in this folder:'
+	@echo '  $(BIN)/gs missions                                   # what comes along'
+	@echo '  $(BIN)/gs fly --mission sequence8 --dry-run          # several formations in one flight'
+	@echo '  $(BIN)/gs init mine                                  # a folder with a mission of your own'
+	@echo 'To type gs alone: source $(BIN)/activate   (groundstation is a second name, where gs is Ghostscript)'
 
 # Everything that has to hold before a commit.
 test: $(STAMP)

@@ -17,6 +17,8 @@ from groundstation.core.errors import UserError
 from groundstation.records.manifest import versions
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "missions": ("start", "List the missions that come along."),
+    "init": ("start", "Make a folder with a mission of your own to begin with."),
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
     "command": ("command", "Give an order to a flight in another terminal: hold, return, land, kill."),
     "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),

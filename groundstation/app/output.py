@@ -15,7 +15,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any, TextIO
 
-import numpy as np
 from rich.console import Console
 
 _UNBOUNDED = 1_000  # columns
@@ -96,12 +95,10 @@ def to_json(values: Mapping[str, object]) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers, told without loading numpy
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

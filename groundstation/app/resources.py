@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 
 import groundstation
@@ -17,20 +18,29 @@ def packaged_configs() -> Path:
 
 
 def find_config(path: Path, folder: str) -> Path:
-    """Looks a file up as given, then in ``configs/<folder>``.
+    """Looks a file up as given, then in ``configs/<folder>``; the suffix ``.yaml`` may be left out.
 
     Args:
         path: what the user wrote.
-        folder: ``missions``, ``formations`` or ``gains``.
+        folder: ``missions``, ``formations`` or ``campaigns``.
 
     Raises:
-        UserError: it is in neither place.
+        UserError: it is in neither place; names the nearest of those that come along.
     """
-    if is_file(path):
-        return path
-    packaged = packaged_configs() / folder / path
-    if not path.is_absolute() and is_file(packaged):
-        return packaged
-    known = (item for item in (packaged_configs() / folder).iterdir() if item.suffix == (path.suffix or ".yaml"))
-    have = ", ".join(sorted(item.name for item in known))
-    raise UserError(f"{path}: no such file; name one that exists, or one of those that come along: {have}")
+    for name in (path, path.with_name(f"{path.name}.yaml")) if path.name else (path,):
+        if is_file(name):
+            return name
+        packaged = packaged_configs() / folder / name
+        if not name.is_absolute() and is_file(packaged):
+            return packaged
+    known = packaged_names(folder)
+    near = difflib.get_close_matches(path.stem, known, n=1)
+    hint = f", the nearest name is {near[0]}" if near else ""
+    raise UserError(
+        f"{path}: no such file{hint}; name one that exists, or one of those that come along: {', '.join(known)}"
+    )
+
+
+def packaged_names(folder: str) -> list[str]:
+    """Names, without suffix, of the YAML files in ``configs/<folder>``."""
+    return sorted(item.stem for item in (packaged_configs() / folder).iterdir() if item.suffix == ".yaml")

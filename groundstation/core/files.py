@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
 import stat
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -162,10 +163,26 @@ def validate(model: type[Model], values: dict[str, Any], source: str) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise UserError("\n".join(_describe(source, item) for item in error.errors())) from None
+        raise UserError("\n".join(_describe(model, source, item) for item in error.errors())) from None
 
 
-def _describe(source: str, item: Any) -> str:
+def _keys_beside(model: type[BaseModel], place: Sequence[str | int]) -> set[str]:
+    """Keys that are known where a key stands; ``place`` as pydantic tells it, the key last."""
+    models: list[type[BaseModel]] = [model]
+    for part in place[:-1]:
+        inner = [item.model_fields[part].annotation for item in models if part in item.model_fields]
+        models = [found for annotation in inner for found in _models_in(annotation)] or models
+    return {name for item in models for name in item.model_fields}
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Models that an annotation names, in unions and lists too."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models_in(part)]
+
+
+def _describe(model: type[BaseModel], source: str, item: Any) -> str:
     key = ""
     for part in item["loc"]:
         if isinstance(part, int):
@@ -173,9 +190,31 @@ def _describe(source: str, item: Any) -> str:
         elif part not in {"float", "constrained-float"} and not str(part).startswith(("literal[", "function-")):
             key += f".{part}" if key else str(part)
     if item["type"] == "extra_forbidden":
-        return f"{source}: {key}: unknown key, remove it or correct its spelling"
+        known = _keys_beside(model, item["loc"])
+        name = str(item["loc"][-1])
+        # Units stand at the end of our keys: who leaves them out gets the whole key.
+        whole = [other for other in sorted(known) if other.startswith(f"{name}_")]
+        near = whole or difflib.get_close_matches(name, sorted(known), n=1)
+        remedy = f"did you mean {near[0]}?" if near else "remove it or correct its spelling"
+        return f"{source}: {key}: unknown key, {remedy}"
     if item["type"] == "missing":
         return f"{source}: {key}: is missing, give it a value"
-    message = item["msg"].removeprefix("Value error, ")
-    message = message[:1].lower() + message[1:]
+    message = _words(item)
     return f"{source}: {key or 'file'}: {message}, got {_short.repr(item['input'])}"
+
+
+def _words(item: Any) -> str:
+    """What is wrong, where pydantic's own words speak of the program's types instead of the file."""
+    context = item.get("ctx") or {}
+    if item["type"] == "too_short":
+        return f"needs at least {context['min_length']} items, has {context['actual_length']}"
+    if item["type"] == "too_long":
+        return f"takes at most {context['max_length']} items, has {context['actual_length']}"
+    if item["type"] in {"list_type", "tuple_type"}:
+        return "expected a list"
+    if item["type"] in {"model_type", "dict_type"}:
+        return "expected keys and values"
+    if item["type"] == "literal_error":
+        return f"expected {context['expected']}"
+    message: str = item["msg"].removeprefix("Value error, ")
+    return message[:1].lower() + message[1:]

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from groundstation.app import order_socket
-from groundstation.app.order_socket import LINE_MAX, OrderSocket, flights, prepare_folder, runtime_folder
+from groundstation.app.order_client import flights, runtime_folder
+from groundstation.app.order_socket import LINE_MAX, OrderSocket, prepare_folder
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
 from groundstation.mission.runner import Runner

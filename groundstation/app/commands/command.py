@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from groundstation.app.order_socket import ask, flights, runtime_folder
+from groundstation.app.order_client import ask, flights, runtime_folder
 from groundstation.app.output import Output
 from groundstation.core.errors import CheckFailed, MissionFailed, UserError
 from groundstation.mission.operator import parse_command

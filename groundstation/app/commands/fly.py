@@ -19,7 +19,8 @@ from groundstation.app.check_screen import rows_as_values, show_rows
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.keys import Keyboard
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
-from groundstation.app.order_socket import OrderSocket, runtime_folder
+from groundstation.app.order_client import runtime_folder
+from groundstation.app.order_socket import OrderSocket
 from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config

@@ -1,0 +1,25 @@
+"""Starts the command line: ``gs``, ``groundstation`` and ``python -m groundstation`` are the same program.
+
+Loads nothing before Ctrl-C is looked after, so that an early one ends in a word instead of a traceback.
+"""
+
+import signal
+import sys
+
+_STOPPED = 130  # what shells report for a program ended by Ctrl-C
+
+
+def main() -> None:
+    """Runs the command line; Ctrl-C before a command looks after it itself ends the program at once."""
+    try:
+        from groundstation.app.cli import main as run  # noqa: PLC0415 - loading takes a while
+
+        run()
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever presses twice wants the same
+        sys.stderr.write("gs: stopped by Ctrl-C\n")
+        sys.exit(_STOPPED)
+
+
+if __name__ == "__main__":
+    main()

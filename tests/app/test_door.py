@@ -1,0 +1,132 @@
+"""A new user's first minutes: names of files and keys, what comes along, a folder of one's own, an early Ctrl-C."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from groundstation import __main__ as door
+from groundstation.app.resources import find_config
+from groundstation.core.errors import UserError
+from tests.app.commands import gs
+
+
+def test_a_mission_may_be_named_without_its_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert find_config(Path("cube8"), "missions").name == "cube8.yaml"
+    (tmp_path / "cube8.yaml").write_text("name: mine\n")
+    assert find_config(Path("cube8"), "missions") == Path("cube8.yaml")  # one's own comes first
+
+
+@pytest.mark.parametrize("name", ["cubee8", "cubee8.yaml", "folder/cube_8.yml"])
+def test_a_mission_that_is_not_there_is_answered_with_the_nearest(name: str) -> None:
+    with pytest.raises(UserError, match=r"no such file, the nearest name is cube8; name one .* first_flight2"):
+        find_config(Path(name), "missions")
+
+
+@pytest.mark.parametrize(
+    ("change", "answer"),
+    [
+        ("speed_limit=1", "speed_limit: unknown key, did you mean speed_limit_m_s?"),
+        ("avoidance.radius=1", "avoidance.radius: unknown key, did you mean radius_m?"),
+        ("vehicles.0.pad=[0, 0, 0]", "vehicles[0].pad: unknown key, did you mean pad_m?"),
+        ("limits.batery_min=1", "limits.batery_min: unknown key, did you mean battery_min?"),
+        ("steps=[{hold: {second: 1}}]", "hold.second: unknown key, did you mean seconds?"),
+        ("xyzzy=1", "xyzzy: unknown key, remove it or correct its spelling"),
+    ],
+)
+def test_an_unknown_key_is_answered_with_the_one_that_was_meant(
+    change: str, answer: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = gs(["check", "--mission", "first_flight2", "--set", change], monkeypatch, capsys)
+    assert code == 2
+    assert answer in err
+
+
+def test_what_comes_along_is_listed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = gs(["missions", "--json"], monkeypatch, capsys)
+    listed = {row["name"]: row for row in json.loads(out.splitlines()[-1])["missions"]}
+    assert code == 0
+    assert listed["first_flight2"]["vehicles"] == 2
+    assert all(row["about"].endswith(".") and Path(row["file"]).is_file() for row in listed.values())
+
+
+@pytest.mark.parametrize("like", ["cube8", "sequence8", "mixed8", "arducopter_two_squares8"])
+def test_a_folder_of_ones_own_loads_as_it_is(
+    like: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from groundstation.mission.plan.plan import load_mission
+
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = gs(["init", "mine", "--like", like, "--json"], monkeypatch, capsys)
+    assert code == 0
+    made = json.loads(out.splitlines()[-1])
+    plan = load_mission(Path(made["mission"]))
+    assert (plan.spec.name, plan.size) == ("mine", 8)
+    assert {path.name for path in Path("mine").iterdir()} == set(made["files"])
+
+    before = {path: path.read_bytes() for path in Path("mine").iterdir()}
+    code, _, err = gs(["init", "mine"], monkeypatch, capsys)
+    assert (code, "is there already" in err) == (2, True)
+    assert {path: path.read_bytes() for path in Path("mine").iterdir()} == before
+
+
+def test_the_first_folder_flies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert gs(["init", "two", "--like", "first_flight2"], monkeypatch, capsys)[0] == 0
+    code, out, _ = gs(["fly", "--mission", "two/mission", "--dry-run", "--json"], monkeypatch, capsys)
+    assert code == 0
+    assert json.loads(out.splitlines()[-1])["mission"] == "two"
+
+
+@pytest.mark.parametrize("name", ["../..", "", "a b", "-x/ y"])
+def test_a_name_that_no_mission_can_have_is_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = gs(["init", "--", name], monkeypatch, capsys)
+    assert (code, "letters, digits" in err) == (2, True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_while_the_program_is_still_loading_is_a_word_not_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    load = builtins.__import__
+
+    def interrupted(name: str, *rest: Any) -> Any:
+        if name == "groundstation.app.cli":
+            raise KeyboardInterrupt
+        return load(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", interrupted)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        door.main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "gs: stopped by Ctrl-C\n"
+
+
+def test_an_order_does_not_wait_for_what_it_does_not_need() -> None:
+    heavy = "scipy", "cvxpy", "pydantic", "matplotlib", "yaml", "pymavlink"
+    code = (
+        "import sys, groundstation.app.cli, groundstation.app.commands.command\n"
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_the_program_has_a_second_name() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "groundstation", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("gs ")
