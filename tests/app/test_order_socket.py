@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 
-from groundstation.app import order_socket
-from groundstation.app.order_client import flights, runtime_folder
+from groundstation.app.order_client import flights, remove_stale, runtime_folder
 from groundstation.app.order_socket import LINE_MAX, OrderSocket, prepare_folder
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
@@ -145,7 +144,7 @@ def test_sockets_of_flights_that_have_died_are_cleaned_up(desk: Desk) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as item:
         item.bind(str(dead))
     assert dead.exists()
-    order_socket.remove_stale(dead.parent)
+    remove_stale(dead.parent)
     assert not dead.exists()
     assert desk.orders.path.exists()
 
