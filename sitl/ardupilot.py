@@ -46,8 +46,9 @@ _GUIDED_FLAG = _NEED_POSITION
 _STATION_LOST = {5: LAND, 7: BRAKE}  # FS_GCS_ENABLE; the others return, some by the way they came
 
 CRITICAL, WARNING, INFO = 2, 4, 6
-_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x10000 | 0x200000
-_GEOFENCE, _PREARM = 0x100000, 0x10000000
+_PRESENT = 0x5371FC2F  # a fence (0x100000) is there, and not enabled, before one is set up
+_ENABLED, _WELL = 0x52419C2F, 0x47519C2F  # while it holds no position
+_HOLDS, _AHRS, _LOGGING, _PREARM = 0x6000, 0x200000, 0x1000000, 0x10000000
 _EXTERNAL_NAV = 6
 
 DATA_STREAMS: dict[int, tuple[str, ...]] = {
@@ -145,12 +146,12 @@ class ArduCopter(Autopilot):
 
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
-        present = _SENSORS | _PREARM
-        # a fence that was never set up is neither present nor breached: its health bit stands
-        health = _SENSORS | _GEOFENCE | (_PREARM if self.arm_refusal() is None else 0)
-        if not self.has_position:
-            health &= ~0x200000
-        return present, present, health
+        known = self.world.has_origin[self.index]
+        common = (_HOLDS if self.mode in _NEED_POSITION else 0) | (_AHRS if known else 0)
+        health = _WELL | common | (_PREARM if self.armed or self.arm_refusal() is None else 0)
+        if known and not self.position_good:
+            health &= ~_AHRS
+        return _PRESENT, _ENABLED | common | (_LOGGING if self.armed else 0), health
 
     def started(self) -> None:
         """Sends what comes out of a freshly booted board: bytes that are no MAVLink, then its banner."""

@@ -270,11 +270,13 @@ def _estimator_status(world: World, _view: View, vehicles: IntArray) -> Structur
     out = rows_of("ESTIMATOR_STATUS", vehicles)
     out["time_usec"] = times_us(world, vehicles)
     good = world.has_position[vehicles] & ~world.invalid[vehicles]
-    # attitude; with a position: velocities, positions (relative, absolute), heights, predictions
-    out["flags"] = np.where(good, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x1 | 0x80)
+    # attitude, vertical velocity, heights above sea and ground; with a position: horizontal velocity, positions,
+    # and that they are measured. Standing still sets "constant position", whatever is known.
+    resting = np.array([pilot.landed for pilot in _each(world, vehicles)], dtype=bool)
+    out["flags"] = np.where(good, 0x37F, 0x65) | np.where(resting, 0x80, 0)
     for name, value in (("vel_ratio", 0.03), ("pos_horiz_ratio", 0.02), ("pos_vert_ratio", 0.03)):
         out[name] = np.where(good, value, 2.0)
-    out["mag_ratio"] = 0.01
+    out["mag_ratio"], out["tas_ratio"] = 0.01, math.nan
     out["pos_horiz_accuracy"], out["pos_vert_accuracy"] = 0.3, 0.4
     return out
 
@@ -283,7 +285,9 @@ def _estimator_status(world: World, _view: View, vehicles: IntArray) -> Structur
 def _ekf_status_report(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("EKF_STATUS_REPORT", vehicles)
     good = world.has_position[vehicles] & ~world.invalid[vehicles]
-    out["flags"] = np.where(good, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x1 | 0x80 | 0x400)
+    # without a position: attitude, velocities and height, and "constant position"; nothing before it has begun
+    begun = np.array([pilot.age_ns >= pilot.boot.deaf_ns for pilot in _each(world, vehicles)], dtype=bool)
+    out["flags"] = np.where(good, 0x33F, np.where(begun, 0xA7, 0x400))
     for name in ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance"):
         out[name] = np.where(good, 0.02, 1.2)
     return out

@@ -52,8 +52,9 @@ _BATTERY_LEVELS = (
     ("BAT_CRIT_THR", CRITICAL, "Critical battery level, return now\t"),
     ("BAT_EMERGEN_THR", CRITICAL, "Dangerous battery level, land now\t"),
 )
-_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x8000 | 0x1000000 | 0x2000000  # gyro, accel, mag, baro, gps, motors, ...
-_AHRS, _PREARM = 0x200000, 0x10000000
+_GPS, _POSITION, _RECEIVER, _LOGGING, _PREARM = 0x20, 0x4000, 0x10000, 0x1000000, 0x10000000
+_FITTED = 0x200000F | _GPS | _POSITION | _LOGGING  # gyro, accelerometer, compass, barometer, battery
+_WELL = 0x320883F | _POSITION  # of everything that it watches, fitted or not, all but the receiver that is not there
 
 
 class Px4(Autopilot):
@@ -129,6 +130,8 @@ class Px4(Autopilot):
             return flags | 0x40
         if main in (2, 3, 7):
             return flags | 0x40 | 0x10
+        if main == OFFBOARD[0]:
+            return flags | 0x10
         return flags | 0x10 | 0x8 | 0x4
 
     def custom_mode(self) -> int:
@@ -152,11 +155,12 @@ class Px4(Autopilot):
 
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
-        health = (
-            _SENSORS | (_AHRS if self.has_position else 0) | (_PREARM if self.ready and not self.deny_arming else 0)
-        )
-        present = _SENSORS | _AHRS | _PREARM
-        return present, present, health
+        # What is watched and not well is enabled, whether it is there or not; the prearm bit is in health alone.
+        lost = 0 if self.position_good else _POSITION
+        present = _FITTED & ~lost & ~(0 if self.has_position else _GPS)
+        health = _WELL & ~lost
+        ready = _PREARM if self.ready and not self.deny_arming else 0
+        return present, present | lost | _RECEIVER, health | ready
 
     # -- arming -------------------------------------------------------------------------------------------------
 

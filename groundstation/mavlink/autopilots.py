@@ -23,6 +23,16 @@ CMD_REQUEST_MESSAGE = 512
 _CUSTOM_MODE_ENABLED = 1.0
 _FORCE = 21196.0  # the number that makes COMPONENT_ARM_DISARM act in the air
 _STATE_CRITICAL = 5  # MAV_STATE
+# What ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS have in common
+_HAS_ATTITUDE, _HAS_VELOCITY_XY, _HAS_VELOCITY_Z, _HAS_POSITION, _HAS_HEIGHT = 0x1, 0x2, 0x4, 0x8 | 0x10, 0x20
+_IS_AIDED = 0x100 | 0x200  # PX4: something measures where it is at this time
+_NEEDED = (
+    (_HAS_ATTITUDE, "has no attitude"),
+    (_HAS_VELOCITY_XY, "has no velocity"),
+    (_HAS_VELOCITY_Z, "has no vertical velocity"),
+    (_HAS_POSITION, "has no position"),
+    (_HAS_HEIGHT, "has no height"),
+)
 
 MASK_VELOCITY_AND_YAW = 0x09C7
 """POSITION_TARGET_TYPEMASK that leaves velocity and yaw to us and ignores position, acceleration and yaw rate."""
@@ -124,6 +134,14 @@ class Autopilot(ABC):
     def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
         """Whether somebody's sticks fly it; a failsafe that shows a mode for sticks is none."""
 
+    def estimator_trouble(self, flags: int) -> str | None:
+        """Why its estimator cannot be flown by, in words; None when it can.
+
+        Args:
+            flags: of ``estimator_message``.
+        """
+        return next((words for needed, words in _NEEDED if not flags & needed), None)
+
     @abstractmethod
     def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
         """Whether its mode says that setpoints are arriving at this very time."""
@@ -188,6 +206,17 @@ class Px4(Autopilot):
         flies_itself = custom_mode >> 16 & 0xFF in (self._MAIN_AUTO, self._MAIN_OFFBOARD)
         return not flies_itself and system_status < _STATE_CRITICAL
 
+    def estimator_trouble(self, flags: int) -> str | None:
+        """By what measures its position; constant position mode (0x80) says nothing.
+
+        From 1.16 on that flag is set whenever the vehicle stands still, and before it was set with "no velocity" only.
+        """
+        if flags & 0x400:  # ESTIMATOR_GPS_GLITCH
+            return "finds GPS far from where it believes to be"
+        if (trouble := super().estimator_trouble(flags)) is not None:
+            return trouble
+        return None if flags & _IS_AIDED else "has nothing that measures its position"
+
     def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
         """OFFBOARD lasts as long as its setpoints."""
         return self.is_streaming_mode(custom_mode) and system_status < _STATE_CRITICAL
@@ -244,6 +273,16 @@ class ArduCopter(Autopilot):
     def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
         """Any mode but those in which it flies by itself."""
         return custom_mode not in self._FLIES_ITSELF
+
+    def estimator_trouble(self, flags: int) -> str | None:
+        """EKF_UNINITIALIZED and EKF_GPS_GLITCHING are flags of its own; constant position mode is one without GPS."""
+        if flags & 0x400:
+            return "has not begun"
+        if flags & 0x80:
+            return "has nothing that measures its position"
+        if flags & 0x8000:
+            return "sees GPS jump"
+        return super().estimator_trouble(flags)
 
     def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
         """Never known: GUIDED hovers on when setpoints end."""

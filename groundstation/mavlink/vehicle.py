@@ -125,7 +125,7 @@ class Fleet:
         battery_v: voltage of the pack, NaN when not reported, shape (n,).
         sensors_enabled: MAV_SYS_STATUS_SENSOR bits in use, shape (n,).
         sensors_healthy: those of them that are well, shape (n,).
-        estimator_flags: ESTIMATOR_STATUS_FLAGS or EKF_STATUS_FLAGS, which agree in what is used here; UNKNOWN before,
+        estimator_flags: ESTIMATOR_STATUS_FLAGS or EKF_STATUS_FLAGS, read by the autopilot classes; UNKNOWN before,
             shape (n,).
         estimator_ns: their arrival, shape (n,).
         firmware: flight_sw_version of AUTOPILOT_VERSION: major, minor, patch, type, a byte each; UNKNOWN before,

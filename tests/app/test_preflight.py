@@ -224,12 +224,18 @@ def test_the_rest_of_the_team_is_told_together() -> None:
 @pytest.mark.parametrize(
     ("vehicle", "flags", "words"),
     [
-        (0, 0x1 | 0x80, "has no velocity"),
+        # what a real PX4 1.16 tells before it has GPS, after 2 s, and in its first second
+        (0, 0xE5, "has no velocity"),
+        (0, 0x480, "finds GPS far from where it believes to be"),
         (0, 0x33F & ~0x18, "has no position"),
-        (1, 0x33F & ~0x20, "has no height"),
-        (1, 0x33F | 0x400, "sees GPS jump, or has not begun"),
-        (0, 0x33F | 0x80, "takes its position for constant"),
+        (0, 0x33F & ~0x4, "has no vertical velocity"),
+        (0, 0x3FF & ~0x300, "has nothing that measures its position"),
         (0, 0x33E, "has no attitude"),
+        # what a real ArduCopter 4.7 tells from 8 s to 41 s, and before
+        (1, 0xA7, "has nothing that measures its position"),
+        (1, 0x400, "has not begun"),
+        (1, 0x33F & ~0x20, "has no height"),
+        (1, 0x33F | 0x8000, "sees GPS jump"),
     ],
 )
 def test_an_estimator_that_is_not_well_is_waited_for_and_then_named(vehicle: int, flags: int, words: str) -> None:
@@ -244,7 +250,8 @@ def test_an_estimator_that_is_not_well_is_waited_for_and_then_named(vehicle: int
 
     flight = Flight(pair(SHORT), tamper=sick)
     _assert_on_the_ground(flight)
-    assert f"vehicle {vehicle + 1}: its estimator: {words}; let it stand still, or restart it" in flight.runner.reason
+    remedy = "let it stand still, see to its GPS or motion capture, or restart it"
+    assert f"vehicle {vehicle + 1}: its estimator: {words}; {remedy}" in flight.runner.reason
 
 
 def test_what_is_not_told_is_told_and_not_waited_for() -> None:

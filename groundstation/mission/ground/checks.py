@@ -25,8 +25,6 @@ _ASK_NS = 2 * _SECOND_NS
 _PATIENCE_NS = 8 * _SECOND_NS  # for what is only nice to know; asked for longer than that it is not
 _ESTIMATOR_OLD_NS = 3 * _SECOND_NS
 _AHRS = 0x200000  # MAV_SYS_STATUS_AHRS
-_ATTITUDE, _VELOCITY, _HEIGHT, _POSITION = 0x1, 0x2, 0x20, 0x8 | 0x10  # ESTIMATOR_STATUS_FLAGS
-_CONSTANT, _GLITCH = 0x80, 0x400
 _RELEASES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: ""}  # FIRMWARE_VERSION_TYPE
 
 
@@ -177,7 +175,7 @@ class Checks:
             failsafe = next((f"{count} {word}" for count, word in counts if count), "as planned")
         return Standing(
             firmware="" if version == UNKNOWN else version_words(version),
-            estimator=(self._estimator_trouble(vehicle, now_ns) or "good") if told else "not told",
+            estimator=(self._estimator_trouble(vehicle) or "good") if told else "not told",
             battery=float(fleet.battery_remaining[vehicle]),
             battery_need=self._needs[vehicle].share,
             failsafe=failsafe,
@@ -198,25 +196,13 @@ class Checks:
             return "says that its estimator is not well (SYS_STATUS); let it stand still, or restart it"
         if fleet.estimator_ns[vehicle] == NEVER:
             return None if self._given_up(vehicle, now_ns) else "was asked how its estimator does"
-        trouble = self._estimator_trouble(vehicle, now_ns)
-        return None if trouble is None else f"its estimator: {trouble}; let it stand still, or restart it"
+        trouble = self._estimator_trouble(vehicle)
+        remedy = "let it stand still, see to its GPS or motion capture, or restart it"
+        return None if trouble is None else f"its estimator: {trouble}; {remedy}"
 
-    def _estimator_trouble(self, vehicle: int, now_ns: int) -> str | None:
+    def _estimator_trouble(self, vehicle: int) -> str | None:
         fleet = self._station.fleet
-        flags = int(fleet.estimator_flags[vehicle])
-        for needed, words in (
-            (_ATTITUDE, "has no attitude"),
-            (_VELOCITY, "has no velocity"),
-            (_POSITION, "has no position"),
-            (_HEIGHT, "has no height"),
-        ):
-            if not flags & needed:
-                return words
-        if flags & _CONSTANT:
-            return "takes its position for constant"
-        if flags & _GLITCH:
-            return "sees GPS jump, or has not begun"
-        return None
+        return self._plan.autopilots[vehicle].estimator_trouble(int(fleet.estimator_flags[vehicle]))
 
     def _neighbours(self, vehicle: int, pos_team_ned_m: FloatArray) -> str | None:
         radius_m = self._plan.spec.avoidance.radius_m
