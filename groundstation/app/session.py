@@ -1,4 +1,4 @@
-"""One flight with its record: every byte is written down before anyone parses it, then given to the runner.
+"""One flight with its record: every byte is split into frames once, written down, then given to the runner.
 
 Nothing is armed that cannot be recorded: when the log fails before takeoff, the flight ends there, by an order as the
 operator would give it. Who is in the air flies on without a log.
@@ -8,7 +8,9 @@ Loops call it with times; it reads no clock. Replay does the same calls from the
 
 from __future__ import annotations
 
-from groundstation.mavlink.codec import Frame
+from collections.abc import Sequence
+
+from groundstation.mavlink.codec import Piece, Splitters
 from groundstation.mavlink.gate import Gate, Refused
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.operator import parse_command
@@ -22,8 +24,7 @@ class Session:
     Args:
         runner: the mission.
         log: where to record, None for nowhere.
-        gate: checks and makes signatures; None where no link is signed. It hands on whole frames, so that the runner
-            has to be one that takes them (``whole_frames``) and the log one without streams.
+        gate: checks and makes signatures; None where no link is signed.
 
     Attributes:
         notes: what happened since the loop last took it, for the screen.
@@ -40,23 +41,25 @@ class Session:
         self.unlogged = ""
         self.armed_unlogged = False
         self._log = log
+        self._splitters = Splitters()
+        self._streams = frozenset(runner.plan.stream_links)
         self._log_problem_told = False
 
     def deliver(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes a datagram from a link."""
         if self.gate is None:
-            self._admit(link, peer, data, t_rx_ns)
+            self._admit(link, peer, self._splitters.feed((link, peer), data, stream=link in self._streams), t_rx_ns)
             return
         for piece in self.gate.receive(link, peer, data, t_rx_ns):
             if not isinstance(piece, Refused):
-                self._admit(link, peer, piece.raw if isinstance(piece, Frame) else piece, t_rx_ns)
+                self._admit(link, peer, (piece,), t_rx_ns)
             elif self._log is not None:
                 self._log.refused(link, peer, piece.frame, int(piece.verdict), t_rx_ns)
 
-    def _admit(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
+    def _admit(self, link: int, peer: str, pieces: Sequence[Piece], t_rx_ns: int) -> None:
         if self._log is not None:
-            self._log.received(link, peer, data, t_rx_ns)
-        self.runner.receive(link, peer, data, t_rx_ns)
+            self._log.took(link, peer, pieces, t_rx_ns)
+        self.runner.take(link, peer, pieces, t_rx_ns)
 
     def operator(self, command: str, now_ns: int) -> str:
         """Takes an order, see ``mission.operator``; it is in the log before it is acted upon.

@@ -66,7 +66,7 @@ def verify_log(path: Path) -> VerifyResult:
     plan = plan_from_record(manifest.mission, manifest.gains_npz, f"manifest of {path}")
     reader = read_tlog(path, manifest.epoch_unix_us)
     result = VerifyResult()
-    runner = Runner(plan, start_ns=0, whole_frames=True, take_over=manifest.take_over)
+    runner = Runner(plan, start_ns=0, take_over=manifest.take_over)
     expected: list[bytes] = []
     recorded: list[Frame] = []
     for record in reader:
@@ -79,9 +79,9 @@ def verify_log(path: Path) -> VerifyResult:
         elif isinstance(record, Sent):
             recorded.append(record.frame)
         elif isinstance(record, Received):
-            runner.receive(record.link, record.peer, record.frame.raw, record.t_ns)
+            runner.take(record.link, record.peer, (record.frame,), record.t_ns)
         elif isinstance(record, Noise):
-            runner.receive(record.link, record.peer, record.data, record.t_ns)
+            runner.take(record.link, record.peer, (record.data,), record.t_ns)
         elif isinstance(record, Operator):
             runner.operator(record.text)
     ended = manifest.result or {}

@@ -8,14 +8,14 @@ stop when the controller stops. Decides nothing about the mission.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
-from groundstation.mavlink.codec import Encoder, Frame, Splitters, blank, encode_batch
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, Piece, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.params import ParamDesk, ParamQuestion
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
@@ -42,16 +42,13 @@ class Station:
     Args:
         fleet: state to be kept up to date.
         start_ns: time that goes out as "since boot", taken as zero.
-        streams: links on which a frame may arrive in two pieces.
         greeted: (link, peer) of those that wait to be spoken to; they get heartbeats until somebody is heard there.
 
     Attributes:
         bytes_received: by link, whoever sent them.
     """
 
-    def __init__(
-        self, fleet: Fleet, start_ns: int, *, streams: Collection[int] = (), greeted: Sequence[tuple[int, str]] = ()
-    ) -> None:
+    def __init__(self, fleet: Fleet, start_ns: int, *, greeted: Sequence[tuple[int, str]] = ()) -> None:
         self.fleet = fleet
         self.commands = CommandQueue(len(fleet))
         self.parameters = ParamDesk(len(fleet))
@@ -59,27 +56,31 @@ class Station:
         self.bytes_received: Counter[int] = Counter()
         self._start_ns = start_ns
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._splitters = Splitters()
         self._received: list[ReceivedFrame] = []
         self._next_heartbeat_ns = start_ns
         self._next_timesync_ns = start_ns
-        self._streams, self._greeted = frozenset(streams), tuple(greeted)
+        self._greeted = tuple(greeted)
         self._extra: list[tuple[int, bytes]] = []
 
     def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
-        """Takes one datagram (or piece of a stream); nothing is acted upon before ``ingest``.
+        """Takes one datagram; nothing is acted upon before ``ingest``.
 
         Args:
             link: which link it came in on.
             peer: sender's address on that link.
-            data: as received.
+            data: as received, with no frame cut in two.
             t_rx_ns: when.
         """
-        self.bytes_received[link] += len(data)
-        for piece in self._splitters.feed((link, peer), data, stream=link in self._streams):
+        self.take(link, peer, FrameSplitter().feed(data), t_rx_ns)
+
+    def take(self, link: int, peer: str, pieces: Sequence[Piece], t_rx_ns: int) -> None:
+        """The same for what was split before: by whoever read the link, once for all who want to know."""
+        for piece in pieces:
             if isinstance(piece, Frame):
+                self.bytes_received[link] += len(piece.raw)
                 self._received.append(ReceivedFrame(piece, link, peer, t_rx_ns))
             else:
+                self.bytes_received[link] += len(piece)
                 self.fleet.counts["bytes that were no frame"] += len(piece)
 
     def ingest(self) -> None:

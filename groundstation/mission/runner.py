@@ -19,6 +19,7 @@ from groundstation.core.limits import Fence
 from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.codec import Piece
 from groundstation.mavlink.station import Outgoing, Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.blame import HELP_IN_THE_AIR, Blame, still_flying
@@ -63,7 +64,6 @@ class Runner:
         start_ns: time at which it begins, on the clock of all other times.
         check_only: stop after the preflight checks, arm nothing.
         look_only: set no parameters either, whatever the mission says; tell what a flight would set.
-        whole_frames: ``receive`` is given whole frames on every link, as from a log, whatever the links were.
         take_over: the vehicles are in the air already; take them over and bring them home, see ``takeover``.
 
     Attributes:
@@ -81,7 +81,6 @@ class Runner:
         *,
         check_only: bool = False,
         look_only: bool = False,
-        whole_frames: bool = False,
         take_over: bool = False,
     ) -> None:
         n = plan.size
@@ -96,7 +95,6 @@ class Runner:
         self._station = Station(
             self.fleet,
             start_ns,
-            streams=() if whole_frames else plan.stream_links,
             greeted=[(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer],
         )
         self._frame = TeamFrame(plan)
@@ -149,6 +147,10 @@ class Runner:
     def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes a datagram; see ``Station.receive``."""
         self._station.receive(link, peer, data, t_rx_ns)
+
+    def take(self, link: int, peer: str, pieces: Sequence[Piece], t_rx_ns: int) -> None:
+        """Takes what was split before; see ``Station.take``."""
+        self._station.take(link, peer, pieces, t_rx_ns)
 
     def operator(self, command: str) -> None:
         """Takes a line of the operator, see ``operator.parse_command``; it is acted upon in the next step.

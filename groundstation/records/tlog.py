@@ -11,7 +11,7 @@ import contextlib
 import os
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -23,7 +23,8 @@ from groundstation.mavlink.codec import (
     MAGIC_V2,
     Encoder,
     Frame,
-    Splitters,
+    FrameSplitter,
+    Piece,
     message_id,
     message_name,
     whole_frame,
@@ -97,7 +98,6 @@ class TlogWriter:
             are kept, what is below is cut off.
         sysid: system id of the ground station; frames of this sender are told apart by direction.
         compid: its component id.
-        stream_links: links on which a frame may span two calls of ``received`` (serial, TCP).
 
     Raises:
         UserError: the file cannot be created.
@@ -110,7 +110,6 @@ class TlogWriter:
         *,
         sysid: int = GROUND_SYSID,
         compid: int = GROUND_COMPID,
-        stream_links: Collection[int] = (),
     ) -> None:
         self._file = _create(target) if isinstance(target, Path) else target
         self._path = target if isinstance(target, Path) else None
@@ -119,8 +118,6 @@ class TlogWriter:
         self._epoch_unix_us = epoch_unix_us
         self._sender = (sysid, compid)
         self._notes = Encoder(sysid, compid)
-        self._stream_links = frozenset(stream_links)
-        self._splitters = Splitters()
         self._secrets: dict[tuple[int, str], tuple[bytes, int]] = {}
         self._origins: dict[int, tuple[int, str]] = {}
         self._buffer = bytearray()
@@ -142,7 +139,7 @@ class TlogWriter:
         self.close()
 
     def received(self, link: int, peer: str, data: bytes, t_ns: int) -> None:
-        """Records what arrived, raw: one datagram, or the next bytes of a stream.
+        """Records what arrived, raw: one datagram.
 
         Args:
             link: index of the link, 0 to 65535.
@@ -150,9 +147,13 @@ class TlogWriter:
             data: the bytes; frames are kept whole, all others as noise.
             t_ns: arrival, monotonic, ns.
         """
+        self.took(link, peer, FrameSplitter().feed(data), t_ns)
+
+    def took(self, link: int, peer: str, pieces: Sequence[Piece], t_ns: int) -> None:
+        """The same for what was split before: by whoever read the link, once for all who want to know."""
         if self.problem is not None:
             return
-        for piece in self._splitters.feed((link, peer), data, stream=link in self._stream_links):
+        for piece in pieces:
             if not isinstance(piece, Frame):
                 self._noise(link, peer, piece, t_ns)
             elif piece.msgid != _SETUP_SIGNING:

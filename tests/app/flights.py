@@ -56,7 +56,7 @@ class Flight:
         if prepare is not None:
             prepare(self.world)
         self.gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
-        self.runner = Runner(plan, 0, whole_frames=self.gate is not None, take_over=take_over)
+        self.runner = Runner(plan, 0, take_over=take_over)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []

@@ -201,7 +201,7 @@ def _fly(
             wire if isinstance(wire := wires[url], Wire) else wire(link)
             for url, link in zip(plan.links, links, strict=True)
         ]
-        writer = stack.enter_context(TlogWriter(log, 0, stream_links=plan.stream_links))
+        writer = stack.enter_context(TlogWriter(log, 0))
         session = Session(runner, writer)
         now_ns = 0
         while not runner.done:

@@ -55,10 +55,12 @@ def logs() -> tuple[bytes, ...]:
     with TemporaryDirectory() as folder:
         for number in range(12):
             path = Path(folder) / f"{number}.tlog"
-            with TlogWriter(path, EPOCH_US, stream_links=(1,)) as log:
+            with TlogWriter(path, EPOCH_US) as log:
+                splitters = Splitters()
                 for tick in range(1, 9):
                     t_ns = tick * 20_000_000
-                    log.received(tick % 2, f"10.0.0.{tick % 3}:14580", random.choice(datagrams(tick % 3)), t_ns)
+                    link, peer, data = tick % 2, f"10.0.0.{tick % 3}:14580", random.choice(datagrams(tick % 3))
+                    log.took(link, peer, splitters.feed((link, peer), data, stream=link == 1), t_ns)
                     log.received(0, "noise", random.randbytes(random.randrange(200)), t_ns)
                     log.tick(t_ns, tick)
                     for raw in random.choices(frames(255), k=2):

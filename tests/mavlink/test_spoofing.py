@@ -44,9 +44,9 @@ def _snapshot(station: Station) -> dict[str, Any]:
     return state
 
 
-def _station(*, streams: tuple[int, ...] = ()) -> Station:
+def _station() -> Station:
     """Two vehicles on two links, heard; vehicle 1 has a command and a question for its time under way."""
-    station = Station(Fleet([1, 2], [0, 1]), 0, streams=streams)
+    station = Station(Fleet([1, 2], [0, 1]), 0)
     for sysid in (1, 2):
         station.receive(sysid - 1, f"10.0.0.{sysid}:14580", Encoder(sysid).encode("HEARTBEAT", type=2, autopilot=12), 0)
     station.ingest()

@@ -80,19 +80,6 @@ def test_a_setpoint_that_is_not_a_number_is_never_encoded() -> None:
         station.transmit(0, velocity, np.zeros(2), np.array([True, True]))
 
 
-@pytest.mark.parametrize("streams", [(), (0,)])
-def test_a_flood_of_addresses_takes_no_memory_and_does_not_keep_a_vehicle_from_being_heard(
-    streams: tuple[int, ...],
-) -> None:
-    station = Station(Fleet([1], [0]), 0, streams=streams)
-    for number in range(1500):
-        station.receive(0, f"stranger{number}", b"\xfd", 0)
-    assert len(station._splitters._streams) <= 256
-    station.receive(0, "p1", Encoder(1).encode("HEARTBEAT", type=2, autopilot=12), 0)
-    station.ingest()
-    assert station.fleet.peer == ["p1"]
-
-
 def test_who_waits_to_be_spoken_to_is_greeted_until_somebody_is_heard_there() -> None:
     station = Station(Fleet([1, 2], [0, 1]), 0, greeted=[(1, "tcp")])
     (hello,) = _transmit(station, 0)
@@ -119,13 +106,3 @@ def test_clocks_are_asked_once_for_all_behind_an_address_and_answers_are_believe
     station.ingest()
     np.testing.assert_allclose(station.fleet.clocks.round_trip_s, 0.04)
     assert station.fleet.clocks.offset_ns.tolist() == [s * SECOND_NS - now_ns - 20_000_000 for s in (1, 2)]
-
-
-def test_a_frame_in_two_pieces_is_read_on_a_stream_and_not_on_datagrams() -> None:
-    for streams, heard in (([0], True), ([], False)):
-        station = Station(Fleet([1], [0]), 0, streams=streams)
-        raw = Encoder(1).encode("HEARTBEAT", type=2, autopilot=12)
-        station.receive(0, "p", raw[:7], 0)
-        station.receive(0, "p", raw[7:], 1)
-        station.ingest()
-        assert (station.fleet.peer[0] == "p") == heard

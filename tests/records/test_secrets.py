@@ -31,7 +31,7 @@ def test_whole_ones_are_left_out_sent_received_and_refused(tmp_path: Path, setup
     path = tmp_path / "a.tlog"
     (frame,) = FrameSplitter().feed(setup)
     assert isinstance(frame, Frame)
-    with TlogWriter(path, EPOCH_US, stream_links=(1,)) as log:
+    with TlogWriter(path, EPOCH_US) as log:
         log.sent(setup, 1000)
         for link in (0, 1):
             log.received(link, "p", HEARTBEAT + setup + HEARTBEAT, 2000)
@@ -52,12 +52,12 @@ def test_damaged_ones_in_pieces_show_nothing_of_the_key(setup: bytes, bad: int, 
     damaged = bytearray(setup)
     damaged[bad] ^= 0x55
     file = io.BytesIO()
-    log = TlogWriter(file, EPOCH_US, stream_links=(0,) if stream else ())
+    log, splitter = TlogWriter(file, EPOCH_US), FrameSplitter(datagrams=not stream)
     data, start = b"xx" + bytes(damaged) + b"rest", 0
     for stop in [*sorted(cuts), len(data)]:
-        log.received(0, "p", data[start:stop], 1000)
+        log.took(0, "p", splitter.feed(data[start:stop]), 1000)
         start = max(start, stop)
-    log.received(0, "p", bytes(300), 2000)  # what a stream still holds
+    log.took(0, "p", splitter.feed(bytes(300)), 2000)  # what a stream still holds
     log._flush()
     content = file.getvalue()
     assert not _shows_key(content)

@@ -164,19 +164,6 @@ def test_signing_keys_stay_out() -> None:
     assert [len(record.data) for record in TlogReader(log) if isinstance(record, Noise)] == [len(damaged), 35]
 
 
-def test_stream_links_join_frames_that_span_two_reads() -> None:
-    frame = heartbeat(1)
-
-    def write(writer: TlogWriter) -> None:
-        writer.received(0, "serial", frame[:7], 0)
-        writer.received(0, "serial", frame[7:], 1_000)
-
-    (whole,) = TlogReader(written(write, stream_links=[0]))
-    assert isinstance(whole, Received)
-    assert whole.frame.raw == frame
-    assert all(isinstance(record, Noise) for record in TlogReader(written(write)))
-
-
 @given(st.text(max_size=400), st.lists(st.one_of(st.none(), st.integers(0, 65_000)), max_size=200))
 def test_texts_and_roles_of_any_length(text: str, roles: list[int | None]) -> None:
     def write(writer: TlogWriter) -> None:

@@ -168,9 +168,8 @@ class _Flown:
             gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
             if log is not None:
                 write_manifest(manifest_path(log), manifest)
-                streams = plan.stream_links if gate is None else ()
-                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us, stream_links=streams))
-            runner = Runner(plan, 0, whole_frames=gate is not None)
+                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us))
+            runner = Runner(plan, 0)
             try:
                 fly_virtual(
                     Session(runner, writer, gate),

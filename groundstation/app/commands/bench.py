@@ -19,6 +19,7 @@ BENCHES = {
     "avoidance": "groundstation.app.bench_avoidance",
     "flight": "groundstation.app.bench_flight",
     "gains": "groundstation.app.bench_gains",
+    "hostile": "groundstation.app.bench_hostile",
     "sigkill": "groundstation.app.bench_sigkill",
 }
 """Name: module with ``run(out: Output) -> dict``; that of sigkill takes ``runs`` and ``seed`` too."""

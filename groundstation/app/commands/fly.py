@@ -114,7 +114,7 @@ def check(
     plan = _judged(out, find_config(mission, "missions"), _with_fix(changes, fix=fix))
     clock = FlightClock()
     gate = open_gate(plan, clock.epoch_unix_us, keep_times=True)
-    session = Session(Runner(plan, 0, check_only=True, look_only=not fix, whole_frames=gate is not None), None, gate)
+    session = Session(Runner(plan, 0, check_only=True, look_only=not fix), None, gate)
     interrupts = Interrupts()
     with ExitStack() as stack:
         if gate is not None:
@@ -206,7 +206,7 @@ def _dry_run(
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
     gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
     with _recording(log_path, manifest, plan) as log:
-        session = Session(Runner(plan, 0, whole_frames=gate is not None), log, gate)
+        session = Session(Runner(plan, 0), log, gate)
         interrupts = Interrupts()
         with ExitStack() as stack:
             stack.enter_context(interrupts.listening())
@@ -290,7 +290,7 @@ def _real_flight(
             if not take_over:  # vehicles in the air wait for no disk
                 raise
             out.console.print(Text(f"gs: {error}; flying without a log", style="bold red"))
-        session = Session(Runner(plan, 0, whole_frames=gate is not None, take_over=take_over), log, gate)
+        session = Session(Runner(plan, 0, take_over=take_over), log, gate)
         interrupts = Interrupts()
         with ExitStack() as at_the_desk:
             at_the_desk.enter_context(interrupts.listening())
@@ -337,8 +337,7 @@ def _manifest(
 def _recording(log_path: Path, manifest: Manifest, plan: MissionPlan) -> Iterator[TlogWriter]:
     """Opens the log with its manifest, so that a flight that ends badly leaves both."""
     write_manifest(manifest_path(log_path), manifest)
-    streams = () if plan.spec.signing is not None else plan.stream_links  # the gate hands on whole frames
-    with TlogWriter(log_path, manifest.epoch_unix_us, stream_links=streams) as log:
+    with TlogWriter(log_path, manifest.epoch_unix_us) as log:
         yield log
 
 

@@ -1,0 +1,107 @@
+"""How every message type lies on the wire, read off pymavlink's generated message classes.
+
+The dialect is ``ardupilotmega``, which contains ``common``; no wire table is typed here.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+StructuredArray = NDArray[np.void]
+
+_NUMPY_CODES = {
+    "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4",
+    "q": "<i8", "Q": "<u8", "f": "<f4", "d": "<f8",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How one message type lies on the wire.
+
+    Attributes:
+        name: as in the MAVLink definitions, for example ``"LOCAL_POSITION_NED"``.
+        msgid: message id.
+        crc_extra: byte that enters the checksum after the payload.
+        dtype: packed structured type, fields in wire order, little endian, extensions included.
+        packer: the same as ``struct.Struct``, arrays flattened.
+        field_names: in wire order.
+        array_lengths: 0 for scalars; for char arrays the number of bytes.
+    """
+
+    name: str
+    msgid: int
+    crc_extra: int
+    dtype: np.dtype[np.void]
+    packer: struct.Struct
+    field_names: tuple[str, ...]
+    array_lengths: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """Payload size in bytes with nothing cut off."""
+        return self.packer.size
+
+
+@cache
+def layout(name: str) -> Layout:
+    """Looks a message type up by name.
+
+    Raises:
+        KeyError: the dialect has no message of that name.
+    """
+    return _layouts()[name]
+
+
+@cache
+def _layouts() -> dict[str, Layout]:
+    return {item.name: item for item in map(_read_layout, dialect.mavlink_map.values())}
+
+
+@cache
+def layouts_by_id() -> dict[int, Layout]:
+    """All layouts by message id."""
+    return {item.msgid: item for item in _layouts().values()}
+
+
+def message_id(name: str) -> int:
+    """Message id of a name. Raises KeyError when the dialect has no such message."""
+    return layout(name).msgid
+
+
+def message_name(msgid: int) -> str | None:
+    """Name of a message id, None when the dialect does not know it."""
+    known = layouts_by_id().get(msgid)
+    return known.name if known else None
+
+
+def _read_layout(message: Any) -> Layout:
+    names = tuple(str(name) for name in message.ordered_fieldnames)
+    codes = bytes(message.native_format).decode().lstrip("<")
+    lengths = tuple(int(length) for length in message.array_lengths)
+    columns: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+    for name, code, length in zip(names, codes, lengths, strict=True):
+        if code == "c":
+            columns.append((name, f"S{max(length, 1)}"))
+        elif length:
+            columns.append((name, _NUMPY_CODES[code], (length,)))
+        else:
+            columns.append((name, _NUMPY_CODES[code]))
+    dtype = np.dtype(columns)
+    packer = struct.Struct(message.unpacker.format)
+    if dtype.itemsize != packer.size:
+        raise AssertionError(f"{message.msgname}: {dtype.itemsize} bytes as columns, {packer.size} on the wire")
+    return Layout(str(message.msgname), int(message.id), int(message.crc_extra), dtype, packer, names, lengths)
+
+
+@cache
+def crc_extra_bytes() -> dict[int, bytes]:
+    """The byte that enters the checksum after the payload, by message id."""
+    return {item.msgid: bytes([item.crc_extra]) for item in _layouts().values()}
