@@ -119,6 +119,7 @@ class Fleet:
         clocks: the vehicles' clocks on ours.
         restarts: times that a vehicle was seen to start anew, shape (n,).
         landed_state: MAV_LANDED_STATE, 0 (undefined) before, shape (n,).
+        landed_ns: arrival of the last EXTENDED_SYS_STATE, shape (n,).
         prearm_ok: the autopilot's own arming checks pass, shape (n,).
         status_ns: arrival of the last SYS_STATUS, shape (n,).
         battery_remaining: 0 to 1, NaN when not reported, shape (n,).
@@ -159,6 +160,7 @@ class Fleet:
         self.quat_ned_from_frd: FloatArray = np.full((n, 4), np.nan)
         self.attitude_ns = _times(n)
         self.landed_state: IntArray = np.zeros(n, dtype=np.int64)
+        self.landed_ns = _times(n)
         self.prearm_ok: BoolArray = np.zeros(n, dtype=np.bool_)
         self.status_ns = _times(n)
         self.battery_remaining: FloatArray = np.full(n, np.nan)
@@ -294,6 +296,15 @@ class Fleet:
         """
         quiet = now_ns - self.heartbeat_ns > HEARTBEAT_PATIENCE * limit_s * 1e9
         return np.asarray(quiet | self.silent(now_ns, limit_s))
+
+    def stands(self, now_ns: int, limit_s: FloatArray) -> BoolArray:
+        """Vehicles that report to stand on the ground, and have done so lately, shape (n,).
+
+        Args:
+            now_ns: time of the tick.
+            limit_s: age from which on that report says nothing of now, shape (n,).
+        """
+        return np.asarray((self.landed_state == LANDED_ON_GROUND) & (now_ns - self.landed_ns <= limit_s * 1e9))
 
     def _count(self, event: str, times: int) -> None:
         if times:
@@ -459,8 +470,9 @@ class Fleet:
             name = bytes(values["param_id"]).decode("ascii", "replace")
             self._params.append(ParamValue(vehicle, name, value_bits, int(values["param_type"]), t))
 
-    def _extended_state(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+    def _extended_state(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         self.landed_state[row] = batch.values["landed_state"]
+        self.landed_ns[row] = t_ns
 
     def _command_ack(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):

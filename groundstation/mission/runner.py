@@ -21,13 +21,14 @@ from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.codec import Piece
 from groundstation.mavlink.station import Outgoing, Station
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
+from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.blame import HELP_IN_THE_AIR, Blame, still_flying
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.flight.killing import Killing
 from groundstation.mission.flight.landing import Landing, clear_spots
+from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.check_table import CheckRow
 from groundstation.mission.ground.failsafe import FailsafePlan, out_of_turn
@@ -105,6 +106,7 @@ class Runner:
         self._guide_apart = Guide(plan)  # of those that fly apart from the formation: its setpoints are theirs alone
         self._monitor = Monitor(plan)
         self._check_only = check_only
+        self._landed_age_s = landed_age_s(plan)
         self._period_ns = round(_SECOND_NS / plan.spec.rate_hz)
         self._start_ns = start_ns
         self._phase_ns = start_ns
@@ -185,8 +187,8 @@ class Runner:
 
     @property
     def airborne(self) -> BoolArray:
-        """Vehicles that are armed and do not report to stand on the ground, shape (n,)."""
-        airborne: BoolArray = self.fleet.armed & (self.fleet.landed_state != LANDED_ON_GROUND)
+        """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
+        airborne: BoolArray = self.fleet.armed & ~self.fleet.stands(self._last_step_ns, self._landed_age_s)
         return airborne
 
     def check_rows(self) -> list[CheckRow]:
@@ -761,8 +763,6 @@ class Runner:
         elif self.phase is Phase.CONNECT:
             self._enter(Phase.DONE, now_ns)
         elif self.phase is Phase.ARM:
-            for vehicle in range(self.plan.size):
-                self._station.commands.clear(vehicle)
             self._enter(Phase.LAND, now_ns)
         else:
             self._climb.under_way[:] = False
@@ -788,6 +788,10 @@ class Runner:
         self._enter(Phase.DONE, now_ns)
 
     def _enter(self, phase: Phase, now_ns: int) -> None:
+        if self.phase in (Phase.ARM, Phase.TAKEOFF):
+            # An arming, disarming or takeoff that is asked again now would be obeyed.
+            for vehicle in np.flatnonzero(~self._killing.asked).tolist():
+                self._station.commands.clear(vehicle)
         self.phase = phase
         self._phase_ns = now_ns
         self._steady_since_ns = NEVER

@@ -64,6 +64,7 @@ class _Team:
         nobody = np.zeros(8, dtype=np.bool_)
         poses = Poses(frames.ned_from_enu(self.pos_enu_m), np.zeros((8, 3)), still, nobody)
         self.wishes.asked.clear()
+        self.fleet.landed_ns[:] = round(now_s * SECOND_NS)
         self.landing.step(round(now_s * SECOND_NS), poses, nobody)
         return [vehicle for vehicle, _ in self.wishes.asked]
 

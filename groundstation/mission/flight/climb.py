@@ -13,6 +13,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, NEVER, Fleet
+from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -34,6 +35,7 @@ class Climb:
 
     def __init__(self, plan: MissionPlan, beside_m: float) -> None:
         self._plan = plan
+        self._landed_age_s = landed_age_s(plan)
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._by_command: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
         self.under_way: BoolArray = self._by_command.copy()
@@ -53,6 +55,7 @@ class Climb:
             target_m: of the climbs, shape (n,).
         """
         high = height_m >= _THERE * target_m
+        stands = fleet.stands(now_ns, self._landed_age_s)
         ahead = high | (self._by_command & (fleet.landed_state != LANDED_ON_GROUND))
         for vehicle in np.flatnonzero(self.under_way).tolist():
             if high[vehicle]:
@@ -62,7 +65,7 @@ class Climb:
                 if not climbing or now_ns - self._high_since_ns[vehicle] >= _STAYS_NS:
                     self.under_way[vehicle] = False
             elif (
-                fleet.landed_state[vehicle] == LANDED_ON_GROUND
+                stands[vehicle]
                 and not commands.pending(vehicle)
                 and now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS
                 and bool(ahead[self._pads_above[vehicle]].all())

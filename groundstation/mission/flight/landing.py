@@ -20,6 +20,7 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -53,6 +54,7 @@ class Landing:
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._fleet = fleet
         self._commands = commands
+        self._landed_age_s = landed_age_s(plan)
         self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._first_asked_ns = np.full(n, NEVER, dtype=np.int64)
@@ -70,9 +72,13 @@ class Landing:
             self._said_yes.add((outcome.vehicle, outcome.command.name))
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
-        """Notes that vehicles shall land where they are, as soon as nobody is below."""
+        """Notes that vehicles shall land where they are, as soon as nobody is below.
+
+        What was asked of them before and is not answered yet is forgotten: a takeoff asked again now would be obeyed.
+        """
         for vehicle in vehicles:
             if self._wanted_ns[vehicle] == NEVER:
+                self._commands.clear(vehicle)
                 self._wanted_ns[vehicle] = now_ns
 
     def want_here(self, vehicles: Iterable[int], now_ns: int) -> None:
@@ -90,7 +96,7 @@ class Landing:
             released: vehicles that are no longer ours, shape (n,).
         """
         fleet = self._fleet
-        on_ground = fleet.landed_state == LANDED_ON_GROUND
+        on_ground = fleet.stands(now_ns, self._landed_age_s)
         self._on_ground_since_ns = np.where(
             on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
         )
@@ -113,12 +119,13 @@ class Landing:
                     self._asked_ns[vehicle] = now_ns
 
     def disarm_on_the_ground(self, now_ns: int) -> None:
-        """Tells everybody to disarm, armed or not; for an arming that is broken off before takeoff.
+        """Tells everybody who stands to disarm, armed or not; for an arming that is broken off before takeoff.
 
         An arming that is under way shows in a heartbeat up to a second later, so this is called again until
-        ``still_up`` has nobody left.
+        ``still_up`` has nobody left. Who does not tell that it stands is not asked: nothing has told it to take off,
+        and it disarms by itself.
         """
-        for vehicle in range(self._plan.size):
+        for vehicle in np.flatnonzero(self._fleet.stands(now_ns, self._landed_age_s)).tolist():
             if now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS and not self._commands.pending(vehicle):
                 self._commands.request(vehicle, self._plan.autopilots[vehicle].disarm())
                 self._asked_ns[vehicle] = now_ns

@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
@@ -33,6 +34,7 @@ class Arming:
     def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
         n = plan.size
         self._plan, self._fleet, self._commands = plan, fleet, commands
+        self._landed_age_s = landed_age_s(plan)
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._armed_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._reluctant: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -63,6 +65,7 @@ class Arming:
         )
         self._reluctant &= ~ready
         may_arm = bool(in_mode.all())
+        stands = fleet.stands(now_ns, self._landed_age_s)
         for vehicle in np.flatnonzero(now_ns - self._asked_ns >= _ASK_AGAIN_NS).tolist():
             if self._commands.pending(vehicle):
                 continue
@@ -70,6 +73,8 @@ class Arming:
             if ready[vehicle]:
                 waits = self._reluctant.any() and now_ns - self._armed_since_ns[vehicle] >= _WAITS_ARMED_NS
                 if not waits:
+                    continue
+                if not stands[vehicle]:
                     continue
                 self._commands.request(vehicle, autopilot.disarm())
             elif not in_mode[vehicle]:
