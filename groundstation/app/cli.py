@@ -5,6 +5,7 @@ A ``UserError`` is printed as its message and ends with its exit code; wrong usa
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
 
@@ -12,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from groundstation.app.commands.completion import COMPLETE_VARIABLE, install_completion
 from groundstation.app.output import Output, SteadyConsole, flush_streams, hold_streams
 from groundstation.core.errors import UserError
 from groundstation.records.manifest import versions
@@ -19,6 +21,7 @@ from groundstation.records.manifest import versions
 COMMANDS: dict[str, tuple[str, str]] = {
     "missions": ("start", "List the missions that come along."),
     "init": ("start", "Make a folder with a mission of your own to begin with."),
+    "new": ("new", "Make a formation file from a shape or from points."),
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
     "command": ("command", "Give an order to a flight in another terminal: hold, return, land, kill."),
     "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),
@@ -31,6 +34,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("import_", "Turn another program's recorded flight into a log."),
     "campaign": ("campaign", "Fly a mission many times over random starts and faults, and sum up."),
     "identify": ("identify", "Find lag and delay of each vehicle's velocity loop in a log."),
+    "schema": ("schema", "Print the JSON schema of mission, formation or campaign files, for editors."),
+    "completion": ("completion", "Print what makes a shell complete gs: bash, zsh or fish."),
     "bench": ("bench", "Measure speed, as ratios in one run."),
 }
 """Command name: module in ``groundstation.app.commands``, help for the overview."""
@@ -65,6 +70,15 @@ def build(called: str | None) -> typer.Typer:
     return application
 
 
+def words_to_complete() -> list[str]:
+    """What stands after the program's name where a shell asks how it goes on; empty otherwise."""
+    if COMPLETE_VARIABLE not in os.environ:
+        return []
+    install_completion()
+    line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
+    return line.split()[1:]
+
+
 def main() -> None:
     """Entry point of ``gs``."""
     hold_streams()
@@ -72,9 +86,9 @@ def main() -> None:
     if arguments == ["--version"]:
         Console(highlight=False).print(f"gs {versions()['gs']}")
         return
-    called = next((argument for argument in arguments if not argument.startswith("-")), None)
+    called = next((argument for argument in arguments or words_to_complete() if not argument.startswith("-")), None)
     try:
-        build(called)(args=arguments, prog_name="gs")
+        build(called)(args=arguments, prog_name="gs", complete_var=COMPLETE_VARIABLE)
     except UserError as error:
         SteadyConsole(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))
         if "--json" in arguments and not error.answered:

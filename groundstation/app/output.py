@@ -84,7 +84,12 @@ class Output:
     def result(self, values: Mapping[str, object]) -> None:
         """Prints the JSON object, where one was asked for."""
         if self.json:
-            SteadyConsole(highlight=False, soft_wrap=True, markup=False, emoji=False).print(to_json(values))
+            print_text(to_json(values))
+
+
+def print_text(text: str) -> None:
+    """Prints text for another program: as it is, without marks or line breaks of our own."""
+    SteadyConsole(highlight=False, soft_wrap=True, markup=False, emoji=False).print(text)
 
 
 def to_json(values: Mapping[str, object]) -> str:

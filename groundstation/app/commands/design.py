@@ -12,10 +12,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
-import yaml
 from rich.markup import escape
 from rich.table import Table
 
+from groundstation.app.formation_text import formation_text
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.core.errors import MissionFailed, UserError
@@ -247,11 +247,8 @@ def _keep_suggestion(out: Output, found: Suggestion, graph_file: Path | None, pi
 
 
 def _write_formation(path: Path, formation: Formation) -> None:
-    lines = [f"name: {yaml.safe_dump(formation.name).splitlines()[0]}", "scale: 1.0", "points:"]
-    lines += ["  - [" + ", ".join(repr(float(value)) for value in point) + "]" for point in formation.points_enu_m]
-    lines += ["edges:", *(f"  - [{i + 1}, {j + 1}]" for i, j in formation.edges)]
     try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        path.write_text(formation_text(formation), encoding="utf-8")
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error.strerror}); choose another --graph-file") from error
 

@@ -1,0 +1,52 @@
+"""``gs schema``: JSON schemas of the files that people write, for editors and other programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+from pydantic import BaseModel
+
+from groundstation.app.output import print_text
+from groundstation.core.errors import UserError
+
+
+def _mission() -> type[BaseModel]:
+    from groundstation.mission.plan.schema import MissionSpec  # noqa: PLC0415 - only what is asked for is loaded
+
+    return MissionSpec
+
+
+def _formation() -> type[BaseModel]:
+    from groundstation.design.store import FormationFile  # noqa: PLC0415
+
+    return FormationFile
+
+
+def _campaign() -> type[BaseModel]:
+    from groundstation.app.campaign.vary import VarySpec  # noqa: PLC0415
+
+    return VarySpec
+
+
+MODELS: dict[str, Callable[[], type[BaseModel]]] = {
+    "mission": _mission,
+    "formation": _formation,
+    "campaign": _campaign,
+}
+
+
+def schema(
+    what: Annotated[str, typer.Argument(help="mission, formation or campaign.")],
+) -> None:
+    """Prints the JSON schema of a file: gs schema mission > mission.schema.json.
+
+    Editors check and complete a YAML file whose first line is
+    # yaml-language-server: $schema=mission.schema.json
+    """
+    if what not in MODELS:
+        raise UserError(f"gs schema {what}: unknown; known are {', '.join(MODELS)}")
+    values = MODELS[what]().model_json_schema()
+    print_text(json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **values}, indent=2))
