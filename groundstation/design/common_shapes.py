@@ -96,4 +96,5 @@ def shortest_m(points_m: FloatArray) -> float:
     """Shortest distance between two of the points, shape (n, 3), n >= 2."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - loading it takes a while
 
-    return float(cKDTree(points_m).query(points_m, k=2)[0][:, 1].min())
+    distances_m, _ = cKDTree(points_m).query(points_m, k=[2])  # the nearest one is the point itself
+    return float(np.min(distances_m))
