@@ -11,7 +11,7 @@ as far as its clock is known (``clocks``). Unknown is NaN, ``NEVER`` or ``UNKNOW
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -87,6 +87,10 @@ class TimesyncRequest:
     t_rx_ns: int
 
 
+Watch = Callable[[Batch, IntArray, IntArray, BoolArray], None]
+"""Is shown a batch of admitted frames, their vehicles, their arrivals and which of them were news, shape (k,) each."""
+
+
 class Fleet:
     """State of n vehicles as their telemetry tells it.
 
@@ -132,6 +136,7 @@ class Fleet:
         firmware: flight_sw_version of AUTOPILOT_VERSION: major, minor, patch, type, a byte each; UNKNOWN before,
             shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
+        watch: looks on at what is let in, so that whoever reads a log counts what the flight counted; None for nobody.
     """
 
     def __init__(self, sysids: Sequence[int], links: Sequence[int]) -> None:
@@ -174,6 +179,7 @@ class Fleet:
         self.clocks = Clocks(n)
         self.restarts: IntArray = np.zeros(n, dtype=np.int64)
         self.counts: Counter[str] = Counter()
+        self.watch: Watch | None = None
         self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
         self._acks: list[Ack] = []
         self._texts: list[Text] = []
@@ -224,7 +230,10 @@ class Fleet:
         for batch in decode([item.frame for item in accepted]):
             handler = _HANDLERS.get(batch.name)
             if handler is not None:
-                handler(self, batch, row_of_frame[batch.index], time_of_frame[batch.index])
+                vehicle, t_ns = row_of_frame[batch.index], time_of_frame[batch.index]
+                news = handler(self, batch, vehicle, t_ns)
+                if self.watch is not None:
+                    self.watch(batch, vehicle, t_ns, np.ones(len(batch), dtype=np.bool_) if news is None else news)
 
     def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
         """Whether a frame comes from where the vehicle is; that may move after a silence only, in the air not far."""
@@ -361,32 +370,34 @@ class Fleet:
         self.home_deg_m[vehicle] = self.home_local_ned_m[vehicle] = np.nan
         self.prearm_ok[vehicle] = False
 
-    def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+    def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
         values = batch.values
         np.add.at(self.seen["LOCAL_POSITION_NED"], row, 1)
         position = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
         velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1).astype(np.float64)
         number = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
-        valid = number & fresh
+        valid: BoolArray = number & fresh
         if not valid.all():
             self._count("position that is not a number", int((~number).sum()))
             position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
         self.pos_local_ned_m[row] = position
         self.vel_ned_m_s[row] = velocity
         self.pose_ns[row] = measured_ns
+        return valid
 
-    def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+    def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
         values = batch.values
         np.add.at(self.seen["GLOBAL_POSITION_INT"], row, 1)
         fresh, measured_ns = self._when(self._place_times, batch, row, t_ns)
-        known = (values["lat"] != 0) | (values["lon"] != 0)  # autopilots send zeros before they know
-        valid = fresh & known
+        known: BoolArray = (values["lat"] != 0) | (values["lon"] != 0)  # autopilots send zeros before they know
+        valid: BoolArray = fresh & known
         place = _place(values["lat"], values["lon"], values["alt"])
         velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1) * 0.01
         self.place_deg_m[row[valid]] = place[valid]
         self.place_vel_ned_m_s[row[valid]] = velocity[valid]
         self.place_ns[row[valid]] = measured_ns[valid]
+        return valid
 
     def _origin(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
@@ -503,7 +514,7 @@ class Fleet:
                 self._start_anew(int(vehicle))
 
 
-_HANDLERS = {
+_HANDLERS: dict[str, Callable[[Fleet, Batch, IntArray, IntArray], BoolArray | None]] = {
     "HEARTBEAT": Fleet._heartbeat,
     "LOCAL_POSITION_NED": Fleet._local_position,
     "GLOBAL_POSITION_INT": Fleet._global_position,

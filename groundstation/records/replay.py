@@ -20,10 +20,13 @@ import numpy as np
 
 from groundstation.core.errors import UserError
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.codec import Frame, decode, message_id
+from groundstation.mavlink.codec import Frame, message_id
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
+from groundstation.records.admission import Admission, of_mission
 from groundstation.records.manifest import Manifest, manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
 from groundstation.records.tlog import TlogReader, read_tlog
+from groundstation.records.tracks import VehicleTrack, tracks_of, vectors
 
 _FORMATION_EVENT = re.compile(r"info: formation of step (\d{1,6}): .+, scale (changing|free|[0-9.e+-]+)$")
 """Tells from which step the formation is from then on, and by how much it has grown since."""
@@ -31,34 +34,9 @@ _FORMATION_EVENT = re.compile(r"info: formation of step (\d{1,6}): .+, scale (ch
 MAX_GAP_NS = 1_000_000_000
 """Between two samples further apart than this a position is not interpolated but unknown."""
 
-_BACK_MS = 1_000  # reordering on a link is quicker than this
-_ORIGIN_SAME = 50  # of 1e-7 degrees, 0.5 m, or of millimetres: less is a correction, not another origin
-_TOLD_LATE_NS = 1_000_000_000
-_IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
 _POINTS_MAX = 2_000
 _SCALE_MAX = 1e9
 _BLOCK = 1 << 18  # pairs of vehicles times instants that are held in memory at once
-
-
-@dataclass(frozen=True)
-class VehicleTrack:
-    """What the log says of one vehicle.
-
-    Attributes:
-        sysid: MAVLink system id.
-        t_ns: times of the reported positions, shape (k,), not decreasing.
-        pos_team_enu_m: reported positions, shape (k, 3); in the vehicle's own frame when ``in_team_frame`` is False.
-        in_team_frame: whether the place of its origin in the team's frame is known.
-        setpoint_t_ns: times of the velocity setpoints sent to it, shape (m,).
-        setpoint_vel_enu_m_s: those setpoints, shape (m, 3).
-    """
-
-    sysid: int
-    t_ns: IntArray
-    pos_team_enu_m: FloatArray
-    in_team_frame: bool
-    setpoint_t_ns: IntArray
-    setpoint_vel_enu_m_s: FloatArray
 
 
 @dataclass(frozen=True)
@@ -108,6 +86,8 @@ class Flight:
         ticks: ticks of the mission object.
         noise_bytes: received bytes that were no good frame.
         message: what of the log could not be read, None when all could.
+        notes: what people have to know of the figures: clocks that were set, positions by GPS.
+        contents: what is in the log instead, a line for each sender; where no vehicle tells positions.
     """
 
     name: str
@@ -124,6 +104,13 @@ class Flight:
     ticks: int
     noise_bytes: int
     message: str | None
+    notes: tuple[str, ...] = ()
+    contents: tuple[str, ...] = ()
+
+    @property
+    def useful(self) -> bool:
+        """Whether there is anything to show: positions, setpoints, or ticks of a flight that came to nothing."""
+        return bool(self.samples or self.setpoints or self.ticks)
 
     @property
     def duration_s(self) -> float:
@@ -266,10 +253,11 @@ def load_flight(path: Path) -> Flight:
 
 
 def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Flight:
-    position_id, origin_id = message_id("LOCAL_POSITION_NED"), message_id("GPS_GLOBAL_ORIGIN")
     setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
-    positions: list[tuple[int, Frame]] = []
-    origins: list[tuple[int, Frame]] = []
+    mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
+    result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    _check_kinds(path, mission, result)
+    sysids, admission = admission_of(reader, mission)
     setpoints: list[tuple[int, Frame]] = []
     roles: list[Roles] = []
     events: list[Event] = []
@@ -281,11 +269,8 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
             start_ns, first = record.t_ns, False
         stop_ns = max(stop_ns, record.t_ns)
         match record:
-            case Received(t_ns, _, _, frame):
-                if frame.msgid == position_id:
-                    positions.append((t_ns, frame))
-                elif frame.msgid == origin_id:
-                    origins.append((t_ns, frame))
+            case Received():
+                admission.take(record)
             case Sent(t_ns, frame):
                 if frame.msgid == setpoint_id:
                     setpoints.append((t_ns, frame))
@@ -295,26 +280,21 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
                 roles.append(record)
             case Event():
                 events.append(record)
+                admission.event(record)
             case Operator():
                 operator.append(record)
             case Noise():
                 noise_bytes += len(record.data)
-    mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
-    result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
-    _check_kinds(path, mission, result)
-    settled_ns = next((event.t_ns for event in events if event.text == f"{PHASE_PREFIX}arm"), None)
-    if settled_ns is not None:
-        lost_ns = _frames_lost_ns(positions, origins, settled_ns)
-        positions = [item for item in positions if item[0] < lost_ns.get(item[1].sysid, item[0] + 1)]
-    if result.get("local_origins_enu_m"):
-        # Where the local frames begin was settled just before arming; vehicles by GPS may have moved theirs until then.
-        settled_ns = start_ns if settled_ns is None else settled_ns
-        moved = {v.get("id") for v in mission.get("vehicles") or () if v.get("origin", "pad") not in ("pad", "team")}
-        positions = [item for item in positions if item[0] >= settled_ns or item[1].sysid not in moved]
+    vehicles, by_place = tracks_of(
+        path, mission, result, sysids=sysids, admission=admission, setpoints=setpoints, start_ns=start_ns
+    )
+    notes = [f"{path}: {note}" for note in reader.notes]
+    if by_place and len(vehicles) > 1:
+        notes.append(f"{path}: positions are those of GPS (GLOBAL_POSITION_INT), and distances are no better than it")
     return Flight(
         name=_printable(str(mission.get("name") or path.stem)),
         manifest=manifest,
-        vehicles=_tracks(path, mission, result, positions, setpoints),
+        vehicles=vehicles,
         formations=_formations(path, mission, events),
         safety_radius_m=_radius(path, mission),
         roles=tuple(roles),
@@ -326,38 +306,27 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         ticks=ticks,
         noise_bytes=noise_bytes,
         message=reader.message,
+        notes=tuple(notes),
+        contents=() if vehicles else tuple(reader.survey().words()),
     )
 
 
-def _frames_lost_ns(
-    positions: Sequence[tuple[int, Frame]], origins: Sequence[tuple[int, Frame]], settled_ns: int
-) -> dict[int, int]:
-    """From when on a vehicle's local positions count from elsewhere: it started anew, or its origin was moved.
+def admission_of(reader: TlogReader, mission: Mapping[str, Any]) -> tuple[list[int], Admission]:
+    """Who is a vehicle in a log, by system id, and the rule by which its frames are let in.
 
     Args:
-        positions: LOCAL_POSITION_NED in order of arrival.
-        origins: GPS_GLOBAL_ORIGIN in order of arrival.
-        settled_ns: before this, frames may begin wherever they like.
-
-    Returns:
-        Times by system id, of those that are concerned.
+        reader: of the log.
+        mission: as its manifest has it; empty without one: then whoever told positions as an autopilot is a vehicle.
     """
-    lost_ns: dict[int, int] = {}
-    latest_ms: dict[int, int] = {}
-    for batch in decode([frame for _, frame in positions]):
-        for (t_ns, frame), boot in zip(positions, batch.values["time_boot_ms"].tolist(), strict=True):
-            if t_ns >= settled_ns and boot < latest_ms.get(frame.sysid, 0) - _BACK_MS:
-                lost_ns.setdefault(frame.sysid, t_ns)
-            latest_ms[frame.sysid] = max(boot, latest_ms.get(frame.sysid, 0)) if t_ns >= settled_ns else boot
-    told: dict[int, tuple[int, int, int]] = {}
-    for batch in decode([frame for _, frame in origins]):
-        for (t_ns, frame), values in zip(origins, batch.values, strict=True):
-            place = int(values["latitude"]), int(values["longitude"]), int(values["altitude"])
-            apart = max((abs(a - b) for a, b in zip(place, told.get(frame.sysid, place), strict=True)), default=0)
-            if t_ns >= settled_ns and apart > _ORIGIN_SAME:  # it is told after it was moved
-                lost_ns[frame.sysid] = min(lost_ns.get(frame.sysid, t_ns), t_ns - _TOLD_LATE_NS)
-            told[frame.sysid] = place
-    return lost_ns
+    if mission.get("vehicles"):
+        return [vehicle["id"] for vehicle in mission["vehicles"]], of_mission(mission)
+    survey = reader.survey()
+    placed = set(survey.placed("LOCAL_POSITION_NED")) | set(survey.placed("GLOBAL_POSITION_INT"))
+    components = survey.autopilots
+    if reader.native:  # flights of this program listen to this component alone
+        placed = {sysid for sysid in placed if components[sysid] == AUTOPILOT_COMPID}
+    sysids = sorted(placed)
+    return sysids, Admission(sysids, [None] * len(sysids), components=components)
 
 
 def _printable(name: str) -> str:
@@ -395,52 +364,6 @@ def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, An
             )
 
 
-def _tracks(
-    path: Path,
-    mission: Mapping[str, Any],
-    result: Mapping[str, Any],
-    positions: Sequence[tuple[int, Frame]],
-    setpoints: Sequence[tuple[int, Frame]],
-) -> tuple[VehicleTrack, ...]:
-    pos_t, pos_id, pos = _columns(positions, ("x", "y", "z"), sender=True)
-    set_t, set_id, vel = _columns(setpoints, ("vx", "vy", "vz"), sender=False)
-    offsets = _offsets(path, mission, result)
-    tracks = []
-    for sysid in offsets or {int(item): None for item in np.unique(pos_id)}:
-        offset = offsets.get(sysid)
-        own, target = pos_id == sysid, set_id == sysid
-        tracks.append(
-            VehicleTrack(
-                sysid=sysid,
-                t_ns=pos_t[own],
-                pos_team_enu_m=pos[own] + (0.0 if offset is None else offset),
-                in_team_frame=offset is not None,
-                setpoint_t_ns=set_t[target],
-                setpoint_vel_enu_m_s=vel[target],
-            )
-        )
-    return tuple(tracks)
-
-
-def _columns(
-    timed: Sequence[tuple[int, Frame]], names: tuple[str, str, str], *, sender: bool
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Times, vehicle per row and ENU vectors of frames of one type; rows that are not finite are left out."""
-    batches = decode([frame for _, frame in timed])
-    if not batches:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    (batch,) = batches
-    north, east, down = (batch.values[name].astype(np.float64) for name in names)
-    vectors = np.stack([east, north, -down], axis=-1)
-    t_ns = np.array([t for t, _ in timed], dtype=np.int64)
-    ids = batch.sysid if sender else batch.values["target_system"]
-    good = np.all(np.isfinite(vectors), axis=-1)
-    if not sender:
-        good &= (batch.values["type_mask"] & _IGNORE_VELOCITY) == 0
-    order = np.argsort(t_ns[good], kind="stable")
-    return t_ns[good][order], ids[good][order].astype(np.int64), vectors[good][order]
-
-
 def _interpolate(track: VehicleTrack, t_ns: IntArray) -> FloatArray:
     # Of several reports with one time stamp the last one counts.
     latest: BoolArray = np.append(np.diff(track.t_ns) > 0, True)
@@ -455,31 +378,6 @@ def _interpolate(track: VehicleTrack, t_ns: IntArray) -> FloatArray:
     before = points[np.maximum(after - 1, 0)]
     line = before + fraction * (points[inside] - before)
     return np.where(exact[:, None], points[inside], np.where(between[:, None], line, np.nan))
-
-
-def _offsets(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> dict[int, FloatArray | None]:
-    """Where each vehicle's own origin lies in the team's frame; None where that is not known.
-
-    What the flight found out (``local_origins_enu_m`` of its result) comes before what the mission says.
-    """
-    offsets: dict[int, FloatArray | None] = {}
-    found = result.get("local_origins_enu_m") or ()
-    for index, vehicle in enumerate(mission.get("vehicles") or ()):
-        where = f"{path}: manifest: mission.vehicles[{index}]"
-        try:
-            sysid, origin = int(vehicle["id"]), vehicle.get("origin", "pad")
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise UserError(f"{where}: no usable id; the manifest is damaged") from error
-        told = found[index] if index < len(found) else None
-        if told is not None and None not in told:
-            offsets[sysid] = _vectors(f"{path}: manifest: result.local_origins_enu_m[{index}]", told, (3,))
-        elif origin == "team":
-            offsets[sysid] = np.zeros(3)
-        elif origin == "pad":
-            offsets[sysid] = _vectors(f"{where}.pad_m", vehicle.get("pad_m"), (3,))
-        else:
-            offsets[sysid] = None
-    return offsets
 
 
 def _formations(path: Path, mission: Mapping[str, Any], events: Sequence[Event]) -> tuple[FlightFormation, ...]:
@@ -512,9 +410,9 @@ def _formations(path: Path, mission: Mapping[str, Any], events: Sequence[Event])
 def _formation(where: str, given: object) -> FlightFormation | None:
     if not isinstance(given, Mapping):
         return None
-    scale = _vectors(f"{where}.scale", given.get("scale", 1.0), ())
+    scale = vectors(f"{where}.scale", given.get("scale", 1.0), ())
     with np.errstate(over="ignore"):
-        points = _vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
+        points = vectors(f"{where}.points", given.get("points"), (-1, 3)) * scale
     if not np.all(np.isfinite(points)):
         raise UserError(f"{where}.scale: {scale:g} takes points beyond all bounds; the manifest is damaged")
     edges = given.get("edges", ())
@@ -538,19 +436,7 @@ def _radius(path: Path, mission: Mapping[str, Any]) -> float | None:
     radius = avoidance.get("radius_m") if isinstance(avoidance, Mapping) else None
     if radius is None:
         return None
-    return float(_vectors(f"{path}: manifest: mission.avoidance.radius_m", [radius], (1,))[0])
-
-
-def _vectors(where: str, value: object, shape: tuple[int, ...]) -> FloatArray:
-    try:
-        array = np.array(value, dtype=np.float64).reshape(shape)
-    except (TypeError, ValueError) as error:
-        raise UserError(
-            f"{where}: {reprlib.repr(value)} are not the numbers expected; the manifest is damaged"
-        ) from error
-    if not np.all(np.isfinite(array)):
-        raise UserError(f"{where}: {reprlib.repr(value)}: expected finite numbers; the manifest is damaged")
-    return array
+    return float(vectors(f"{path}: manifest: mission.avoidance.radius_m", [radius], (1,))[0])
 
 
 def _phases(events: Sequence[Event], stop_ns: int) -> tuple[Phase, ...]:

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.core.types import FloatArray, IntArray
-from groundstation.mavlink.codec import Frame, decode, message_id
+from groundstation.mavlink.codec import Frame, message_id
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Received, Sent
+from groundstation.records.replay import admission_of
 from groundstation.records.tlog import read_tlog
+from groundstation.records.tracks import setpoint_columns
 
-_IGNORE_VELOCITY = 0x0038
 _STEERED = frozenset({"form", "hold", "move", "stop", "return"})
 _GAP_NS = 400_000_000  # longer ones between two reports leave the velocity unknown
 _PAUSE_NS = 1_000_000_000  # without setpoints for that long the vehicle does not follow them
@@ -53,46 +54,35 @@ def load_motions(path: Path, step_s: float) -> list[Motion]:
         UserError: the log or its manifest cannot be used.
     """
     manifest = manifest_beside(path)
-    setpoint_id, position_id = message_id("SET_POSITION_TARGET_LOCAL_NED"), message_id("LOCAL_POSITION_NED")
+    setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
+    reader = read_tlog(path, None if manifest is None else manifest.epoch_unix_us)
+    sysids, admission = admission_of(reader, {} if manifest is None else manifest.mission)
     asked: list[tuple[int, Frame]] = []
-    done: list[tuple[int, Frame]] = []
     phases: list[tuple[int, str]] = []
-    for record in read_tlog(path, None if manifest is None else manifest.epoch_unix_us):
+    for record in reader:
         match record:
-            case Received(t_ns, _, _, frame) if frame.msgid == position_id:
-                done.append((t_ns, frame))
+            case Received():
+                admission.take(record)
             case Sent(t_ns, frame) if frame.msgid == setpoint_id:
                 asked.append((t_ns, frame))
             case Event(t_ns, text) if text.startswith(PHASE_PREFIX):
+                admission.event(record)
                 phases.append((t_ns, text.removeprefix(PHASE_PREFIX).strip()))
-    if not asked or not done:
-        return []
-    set_t, set_id, set_vel, _ = _columns(asked, sender=False)
-    pos_t, pos_id, pos_vel, boot_ms = _columns(done, sender=True)
-    start_ns, stop_ns = _steered(phases, int(set_t[0]), int(set_t[-1]))
+    set_t, set_id, set_vel = setpoint_columns(asked)
+    local, places = admission.local(), admission.places()
     motions = []
-    for sysid in np.unique(set_id).tolist():
+    for row, sysid in enumerate(sysids):
+        own = local.of(row)
+        said = own if len(own.t_ns) else places.of(row)
+        said = said.where(np.asarray(np.isfinite(said.vel_ned_m_s).all(axis=1)))  # imported flights have none
+        start_ns, stop_ns = _steered(phases, int(set_t[0]), int(set_t[-1])) if len(set_t) else (0, 0)
         told = (set_id == sysid) & (set_t >= start_ns) & (set_t <= stop_ns)
-        said = pos_id == sysid
-        if told.sum() < 2 or said.sum() < 2:
+        if told.sum() < 2 or len(said.t_ns) < 2:
             continue
-        measured = _measured_ns(pos_t[said], boot_ms[said])
-        motions.append(_on_grid(sysid, (set_t[told], set_vel[told]), (measured, pos_vel[said]), step_s))
-    return motions
-
-
-def _columns(timed: list[tuple[int, Frame]], *, sender: bool) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """Times, vehicle, ENU velocity and time since boot of frames of one type, those that are numbers."""
-    (batch,) = decode([frame for _, frame in timed])
-    north, east, down = (batch.values[name].astype(np.float64) for name in ("vx", "vy", "vz"))
-    velocity = np.stack([east, north, -down], axis=-1)
-    good = np.isfinite(velocity).all(axis=1)
-    if not sender:
-        good &= (batch.values["type_mask"] & _IGNORE_VELOCITY) == 0
-    times = np.array([t for t, _ in timed], dtype=np.int64)
-    ids = batch.sysid if sender else batch.values["target_system"]
-    boot = batch.values["time_boot_ms"].astype(np.int64)
-    return times[good], ids[good].astype(np.int64), velocity[good], boot[good]
+        north, east, down = said.vel_ned_m_s.T
+        done = _measured_ns(said.t_ns, said.boot_ms), np.stack([east, north, -down], axis=-1)
+        motions.append(_on_grid(sysid, (set_t[told], set_vel[told]), done, step_s))
+    return sorted(motions, key=lambda motion: motion.sysid)
 
 
 def _steered(phases: list[tuple[int, str]], first_ns: int, last_ns: int) -> tuple[int, int]:

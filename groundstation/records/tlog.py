@@ -8,6 +8,7 @@ key in a SETUP_SIGNING message near a file.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import struct
@@ -55,6 +56,8 @@ from groundstation.records.notes import (
     unpack_roles,
     unpack_tick,
 )
+from groundstation.records.other_kinds import refuse_other_kinds
+from groundstation.records.survey import Survey
 
 GROUND_SYSID = 255
 GROUND_COMPID = 190
@@ -319,10 +322,12 @@ class TlogReader:
         """
         self._data = data
         self._name = name
+        self._survey: Survey | None = None
         self.damaged_bytes = 0
         self.truncated_bytes = 0
         if not data:
             raise UserError(f"{name}: the file is empty, expected a log (.tlog)")
+        refuse_other_kinds(data, name)
         first = next(self._frames(), None)
         if first is None:
             raise UserError(
@@ -346,6 +351,17 @@ class TlogReader:
             if 0 <= epoch <= LATEST_UNIX_US:  # else damage that no checksum saw
                 self.epoch_unix_us = epoch
 
+    def survey(self) -> Survey:
+        """What is in the log, and whether its stamps hold; looked through at the first call."""
+        if self._survey is None:
+            self._survey = Survey(self._frames())
+        return self._survey
+
+    @property
+    def notes(self) -> list[str]:
+        """What people have to know of the time stamps; nothing in logs of this project, whose clock is never set."""
+        return [] if self.native else self.survey().notes
+
     @property
     def message(self) -> str | None:
         """What the latest iteration had to leave out, as one sentence; None when it gave everything."""
@@ -354,6 +370,8 @@ class TlogReader:
             parts.append(f"{self.damaged_bytes} bytes amid the log were no record and were skipped")
         if self.truncated_bytes:
             parts.append(f"the last {self.truncated_bytes} bytes are no whole record and were left out")
+        if self._survey is not None and not self.native and self._survey.cut is not None:
+            parts.append("its time stamps run back, and what is behind was left out")
         return f"{self._name}: {'; '.join(parts)}" if parts else None
 
     def __iter__(self) -> Iterator[Record]:
@@ -361,12 +379,14 @@ class TlogReader:
         return self._native_records() if self.native else self._foreign_records()
 
     def _foreign_records(self) -> Iterator[Record]:
-        """Everything is received but what bears the system id that ground stations use."""
-        for stamp_us, frame in self._frames():
+        """Everything is received but what a ground station sent; stamps are put right where its clock was set."""
+        survey = self.survey()
+        shifted = zip(self._frames(), survey.shifts_us(), strict=False)
+        for (stamp_us, frame), shift_us in itertools.islice(shifted, survey.cut):
             if frame.msgid == _SETUP_SIGNING:  # other programs may have written it: it is not handed on
                 continue
-            t_ns = (stamp_us - self.epoch_unix_us) * 1000
-            yield Sent(t_ns, frame) if frame.sysid == GROUND_SYSID else Received(t_ns, 0, "", frame)
+            t_ns = (stamp_us - shift_us - self.epoch_unix_us) * 1000
+            yield Sent(t_ns, frame) if survey.sent_by_ground(frame) else Received(t_ns, 0, "", frame)
 
     def _native_records(self) -> Iterator[Record]:
         assembler = _Assembler()

@@ -59,7 +59,13 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_replay_answers_with_the_figures_of_the_log(log: Path) -> None:
-    assert run("replay", str(log)) == {"vehicles": 2, "samples": 2, "duration_s": 0.5, "min_distance_m": 0.5}
+    assert run("replay", str(log)) == {
+        "vehicles": 2,
+        "samples": 2,
+        "duration_s": 0.5,
+        "min_distance_m": 0.5,
+        "notes": [],
+    }
 
 
 def test_report_writes_its_files(log: Path, tmp_path: Path) -> None:
@@ -113,7 +119,7 @@ def test_stream_sends_received_frames_at_the_recorded_pace() -> None:
     for t_us, sysid in ((1_000_000, 1), (1_200_000, 255), (1_500_000, 2)):
         log += struct.pack(">Q", EPOCH_US + t_us) + Encoder(sysid).encode("HEARTBEAT", type=2)
     happened: list[bytes | int] = []
-    assert stream(TlogReader(log), happened.append, happened.append, speed=2.0) == 2
+    assert stream(TlogReader(log), lambda _: True, happened.append, happened.append, speed=2.0) == 2
     assert happened == [
         0,
         Encoder(1).encode("HEARTBEAT", type=2),

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from groundstation.app.commands.fly import JsonOption
 from groundstation.app.output import Output
@@ -16,6 +17,7 @@ from groundstation.core.identify import STEP_S, Response
 from groundstation.core.identify import identify as fit
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.responses import load_motions
+from groundstation.records.tlog import read_tlog
 
 _DIRECTIONS = ("east", "north", "up")
 DELAY_SHARE_MAX = 0.4
@@ -31,6 +33,8 @@ def identify(
     out = Output(as_json=as_json)
     motions = load_motions(log, STEP_S)
     if not motions:
+        for line in read_tlog(log).survey().words():
+            out.console.print(Text(line))
         raise CheckFailed(f"{log}: holds no velocity setpoints with velocities beside them; nothing can be identified")
     profile_of = _profiles(log)
     table = Table(title=f"{log.name}: how setpoints are followed")

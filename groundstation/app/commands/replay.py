@@ -11,14 +11,17 @@ from urllib.parse import urlsplit
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from groundstation.app.loop import wall_clock_pace
 from groundstation.app.output import Output
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import MissionFailed, UserError
+from groundstation.mavlink.codec import Frame
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import Received, Record
 from groundstation.records.replay import load_flight
+from groundstation.records.resend import Passing
 from groundstation.records.tlog import read_tlog
 
 
@@ -27,7 +30,7 @@ def replay(
     *,
     verify: Annotated[bool, typer.Option("--verify", help="Fly it again from its bytes, compare every bit.")] = False,
     to: Annotated[
-        str | None, typer.Option("--to", help="Send the received frames to another program: udpout://HOST:PORT.")
+        str | None, typer.Option("--to", help="Send what the vehicles told to another program: udpout://HOST:PORT.")
     ] = None,
     speed: Annotated[float, typer.Option(help="Pace of --to against the recorded one.")] = 1.0,
     as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
@@ -43,6 +46,7 @@ def replay(
         "samples": flight.samples,
         "duration_s": flight.duration_s,
         "min_distance_m": flight.min_distance_m(),
+        "notes": list(flight.notes),
     }
     mismatches = 0
     if verify:
@@ -57,8 +61,12 @@ def replay(
             "complete": result.complete,
         }
     out.console.print(_table(values))
+    for line in (*flight.notes, *flight.contents):
+        out.console.print(Text(line))
     if target is not None:
-        values["frames"] = _send(log, target, speed, out)
+        values |= _send(log, target, speed, out)
+    if flight.contents:
+        values["contents"] = list(flight.contents)
     out.result(values)
     if mismatches:
         raise MissionFailed(
@@ -69,6 +77,16 @@ def replay(
         raise MissionFailed(
             f"{flight.message or f'{log}: ends before the flight does'}; the figures are of what is there"
         )
+    if not (flight.useful or values.get("frames")):
+        raise MissionFailed(nothing_in(log))
+
+
+def nothing_in(log: Path) -> str:
+    """Words for a log that holds nothing of use; what it holds was printed before."""
+    return (
+        f"{log}: no vehicle tells positions in it (LOCAL_POSITION_NED or GLOBAL_POSITION_INT) and no velocity setpoint"
+        " was sent; what there is, is listed above"
+    )
 
 
 def parse_target(url: str) -> tuple[str, int]:
@@ -88,12 +106,17 @@ def parse_target(url: str) -> tuple[str, int]:
 
 
 def stream(
-    records: Iterable[Record], send: Callable[[bytes], None], pace: Callable[[int], None], speed: float = 1.0
+    records: Iterable[Record],
+    passing: Callable[[Frame], bool],
+    send: Callable[[bytes], None],
+    pace: Callable[[int], None],
+    speed: float = 1.0,
 ) -> int:
-    """Sends the received frames of a log in their order.
+    """Sends what vehicles told, in the order of the log.
 
     Args:
         records: of the log.
+        passing: whether a received frame is sent, see ``records.resend``.
         send: takes one frame.
         pace: waits until that many ns have passed since the first frame.
         speed: pace against the recorded one, > 0.
@@ -104,7 +127,7 @@ def stream(
     frames = 0
     first_ns = None
     for record in records:
-        if isinstance(record, Received):
+        if isinstance(record, Received) and passing(record.frame):
             first_ns = record.t_ns if first_ns is None else first_ns
             pace(int((record.t_ns - first_ns) / speed))
             send(record.frame.raw)
@@ -112,10 +135,11 @@ def stream(
     return frames
 
 
-def _send(log: Path, target: tuple[str, int], speed: float, out: Output) -> int:
+def _send(log: Path, target: tuple[str, int], speed: float, out: Output) -> dict[str, int]:
     host, port = target
     manifest = manifest_beside(log)
     reader = read_tlog(log, None if manifest is None else manifest.epoch_unix_us)
+    passing = Passing(reader.survey())
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         with socket.socket(family, kind, protocol) as peer, out.console.status(f"sending to {host}:{port}"):
@@ -124,15 +148,20 @@ def _send(log: Path, target: tuple[str, int], speed: float, out: Output) -> int:
                 # Not connected: a program that is not listening yet must not end the replay.
                 peer.sendto(frame, address)
 
-            return stream(reader, send, wall_clock_pace(), speed)
+            frames = stream(reader, passing, send, wall_clock_pace(), speed)
     except OSError as error:
         raise UserError(f"--to {host}:{port}: {error.strerror or error}; name a host that can be reached") from error
+    for line in passing.words():
+        out.console.print(Text(line))
+    return {"frames": frames, "frames_not_sent": passing.kept_back.total()}
 
 
 def _table(values: dict[str, Any]) -> Table:
     table = Table(show_header=False, box=None)
     units = {"duration_s": "s", "min_distance_m": "m", "max_error_m_s": "m/s"}
     for name, value in values.items():
+        if isinstance(value, list):  # told below the table
+            continue
         words = name.removesuffix("_m_s").removesuffix("_s").removesuffix("_m").replace("_", " ")
         text = f"{value:.4g}" if isinstance(value, float) else "unknown" if value is None else str(value)
         table.add_row(words, f"{text} {units.get(name, '') if value is not None else ''}".strip())

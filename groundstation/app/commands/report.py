@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
+from groundstation.app.commands.replay import nothing_in
 from groundstation.app.output import Output
 from groundstation.app.report import write_report
+from groundstation.core.errors import CheckFailed
 from groundstation.records.replay import load_flight
 
 
@@ -20,10 +23,14 @@ def report(
     """Draws trajectories, distances, formation error and setpoints of a flight."""
     out = Output(as_json=as_json)
     flight = load_flight(log)
-    if flight.message is not None:
-        out.console.print(flight.message)
+    for line in (flight.message, *flight.notes, *flight.contents):
+        if line is not None:
+            out.console.print(Text(line))
+    if not flight.useful:
+        raise CheckFailed(f"{nothing_in(log)}; no report was written")
     with out.console.status("drawing"):
         files = write_report(flight, output)
     for file in files:
         out.console.print(f"written: {file}")
-    out.result({"log": str(log), "vehicles": len(flight.vehicles), "files": [str(file) for file in files]})
+    out.result({"log": str(log), "vehicles": len(flight.vehicles), "files": [str(file) for file in files],
+                "notes": list(flight.notes)})  # fmt: skip

@@ -1,0 +1,191 @@
+"""Where each vehicle of a log was, in one frame where there is one, out of the reports that its flight let in."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pymap3d
+
+from groundstation.core.errors import UserError
+from groundstation.core.types import FloatArray, IntArray
+from groundstation.mavlink.codec import Frame, decode
+from groundstation.records.admission import Admission, Reports
+
+_IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
+
+
+@dataclass(frozen=True)
+class VehicleTrack:
+    """What the log says of one vehicle.
+
+    Attributes:
+        sysid: MAVLink system id.
+        t_ns: times of the reported positions, shape (k,), not decreasing.
+        pos_team_enu_m: reported positions, shape (k, 3); in the vehicle's own frame when ``in_team_frame`` is False.
+        in_team_frame: whether the place of its origin in the team's frame is known.
+        setpoint_t_ns: times of the velocity setpoints sent to it, shape (m,).
+        setpoint_vel_enu_m_s: those setpoints, shape (m, 3).
+    """
+
+    sysid: int
+    t_ns: IntArray
+    pos_team_enu_m: FloatArray
+    in_team_frame: bool
+    setpoint_t_ns: IntArray
+    setpoint_vel_enu_m_s: FloatArray
+
+
+def tracks_of(
+    path: Path,
+    mission: Mapping[str, Any],
+    result: Mapping[str, Any],
+    *,
+    sysids: Sequence[int],
+    admission: Admission,
+    setpoints: Sequence[tuple[int, Frame]],
+    start_ns: int,
+) -> tuple[tuple[VehicleTrack, ...], bool]:
+    """Puts the tracks of a flight together.
+
+    Local positions count from where the flight or the mission says that they begin. Vehicles that are flown by their
+    places on earth, and all vehicles of a log without a mission whose places on earth are known, are set in one frame
+    by those.
+
+    Args:
+        path: of the log, for messages.
+        mission: of the manifest; empty without one.
+        result: of the manifest; empty without one.
+        sysids: the vehicles, in the order of the rows of ``admission``.
+        admission: has taken the whole log.
+        setpoints: SET_POSITION_TARGET_LOCAL_NED with their times.
+        start_ns: time of the first record.
+
+    Returns:
+        The tracks, and whether they are by places on earth.
+
+    Raises:
+        UserError: the manifest is damaged.
+    """
+    offsets = offsets_of(path, mission, result)
+    local, places = admission.local(), admission.places()
+    vehicles = mission.get("vehicles") or ()
+    by_place = bool(vehicles) and all(item.get("position") == "global" for item in vehicles)
+    if not vehicles:
+        placed = set(np.unique(places.vehicle).tolist())
+        named = placed | set(np.unique(local.vehicle).tolist())
+        by_place = bool(placed) and (len(named) > 1 or not len(local.t_ns)) and placed == named
+    if by_place:
+        local = _from_places(places, admission.settled_ns, mission)
+    moved = _moved(mission, result)
+    settled_ns = start_ns if admission.armed_ns is None else admission.armed_ns
+    set_t, set_id, vel = setpoint_columns(setpoints)
+    tracks = []
+    for row, sysid in enumerate(sysids):
+        own = local.of(row)
+        lost_ns = None if by_place else admission.lost_ns.get(row)
+        keep = np.ones(len(own.t_ns), dtype=np.bool_) if lost_ns is None else own.t_ns < lost_ns
+        if sysid in moved and not by_place:
+            keep &= own.t_ns >= settled_ns
+        offset = np.zeros(3) if by_place else offsets.get(sysid)
+        north, east, down = own.position[keep].T
+        order = np.argsort(own.t_ns[keep], kind="stable")
+        target = set_id == sysid
+        tracks.append(
+            VehicleTrack(
+                sysid=sysid,
+                t_ns=own.t_ns[keep][order],
+                pos_team_enu_m=(np.stack([east, north, -down], axis=-1) + (0.0 if offset is None else offset))[order],
+                in_team_frame=offset is not None,
+                setpoint_t_ns=set_t[target],
+                setpoint_vel_enu_m_s=vel[target],
+            )
+        )
+    return tuple(tracks), by_place
+
+
+def _from_places(places: Reports, settled_ns: int | None, mission: Mapping[str, Any]) -> Reports:
+    """Places on earth as metres north, east and down of one place on earth.
+
+    The frame hangs on the first vehicle, as in flight: where it stood when the flight began is its pad. Without a
+    mission, where it was first is the origin.
+    """
+    if not len(places.t_ns):
+        return places
+    first = places.of(int(places.vehicle.min()))
+    before = np.flatnonzero(first.t_ns <= (settled_ns if settled_ns is not None else first.t_ns[0]))
+    anchor = first.position[before[-1] if len(before) else 0]
+    north, east, down = pymap3d.geodetic2ned(*places.position.T, *anchor)
+    position = np.stack([north, east, down], axis=-1)
+    vehicles = mission.get("vehicles") or ()
+    if vehicles:
+        east_m, north_m, up_m = np.array(vehicles[0].get("pad_m") or (0.0, 0.0, 0.0), dtype=np.float64)
+        position += [north_m, east_m, -up_m]
+    return Reports(places.t_ns, places.vehicle, places.boot_ms, position, places.vel_ned_m_s)
+
+
+def _moved(mission: Mapping[str, Any], result: Mapping[str, Any]) -> set[int]:
+    """Vehicles by GPS, which may have moved their origins until the frames were settled, just before arming."""
+    if not result.get("local_origins_enu_m"):
+        return set()
+    return {v["id"] for v in mission.get("vehicles") or () if v.get("origin", "pad") not in ("pad", "team")}
+
+
+def setpoint_columns(timed: Sequence[tuple[int, Frame]]) -> tuple[IntArray, IntArray, FloatArray]:
+    """Times, system ids and ENU velocities of setpoints, in order of time; those that are no numbers are left out."""
+    batches = decode([frame for _, frame in timed])
+    if not batches:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    (batch,) = batches
+    north, east, down = (batch.values[name].astype(np.float64) for name in ("vx", "vy", "vz"))
+    vectors = np.stack([east, north, -down], axis=-1)
+    t_ns = np.array([t for t, _ in timed], dtype=np.int64)
+    good = np.all(np.isfinite(vectors), axis=-1) & ((batch.values["type_mask"] & _IGNORE_VELOCITY) == 0)
+    order = np.argsort(t_ns[good], kind="stable")
+    return t_ns[good][order], batch.values["target_system"][good][order].astype(np.int64), vectors[good][order]
+
+
+def offsets_of(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> dict[int, FloatArray | None]:
+    """Where each vehicle's own origin lies in the team's frame; None where that is not known.
+
+    What the flight found out (``local_origins_enu_m`` of its result) comes before what the mission says.
+    """
+    offsets: dict[int, FloatArray | None] = {}
+    found = result.get("local_origins_enu_m") or ()
+    for index, vehicle in enumerate(mission.get("vehicles") or ()):
+        where = f"{path}: manifest: mission.vehicles[{index}]"
+        try:
+            sysid, origin = int(vehicle["id"]), vehicle.get("origin", "pad")
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise UserError(f"{where}: no usable id; the manifest is damaged") from error
+        told = found[index] if index < len(found) else None
+        if told is not None and None not in told:
+            offsets[sysid] = vectors(f"{path}: manifest: result.local_origins_enu_m[{index}]", told, (3,))
+        elif origin == "team":
+            offsets[sysid] = np.zeros(3)
+        elif origin == "pad":
+            offsets[sysid] = vectors(f"{where}.pad_m", vehicle.get("pad_m"), (3,))
+        else:
+            offsets[sysid] = None
+    return offsets
+
+
+def vectors(where: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+    """Numbers out of a manifest in a shape.
+
+    Raises:
+        UserError: they are none, or too many or few.
+    """
+    try:
+        array = np.array(value, dtype=np.float64).reshape(shape)
+    except (TypeError, ValueError) as error:
+        raise UserError(
+            f"{where}: {reprlib.repr(value)} are not the numbers expected; the manifest is damaged"
+        ) from error
+    if not np.all(np.isfinite(array)):
+        raise UserError(f"{where}: {reprlib.repr(value)}: expected finite numbers; the manifest is damaged")
+    return array
