@@ -61,7 +61,7 @@ def hostile_units() -> dict[str, bytes]:
     """Runs of bytes to be repeated, by name."""
     unknown = next(number for number in range(256) if message_name(number) is None)
     over_each_other = bytes((0xFE, 254, 0xFE, 0xFE, 0xFE, unknown))
-    good = Encoder(1).encode("HEARTBEAT", type=2, mavlink_version=3)
+    good = Encoder(250).encode("HEARTBEAT", type=2, mavlink_version=3)
     return {
         "windows": over_each_other * 39 + good,
         "unknown": over_each_other,
@@ -72,7 +72,7 @@ def hostile_units() -> dict[str, bytes]:
 
 
 def _draw(draw: random.Random) -> bytes:
-    good = Encoder(1).encode("HEARTBEAT", type=2)
+    good = Encoder(250).encode("HEARTBEAT", type=2)
     parts = []
     for _ in range(draw.randrange(1, 40)):
         length, msgid = draw.choice((0, 3, 60, 200, 254, 255)), draw.choice((0, 3, 30, 0xFD, 0xFE))

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Protocol
 
 from groundstation.app.session import Session
-from groundstation.links.link import Link
+from groundstation.links.link import RECEIVE_BYTES, Link
 from groundstation.mavlink.station import Outgoing as Datagram
 from sitl.world import Outgoing
 
@@ -24,7 +24,8 @@ _MICROSECOND_NS = 1_000
 _STOOD_STILL_NS = 300_000_000
 _CATCH_UP_NS = 100_000_000
 _TALK_TICK_NS = 100_000_000
-_DRAIN_MAX = 50  # calls of `receive` on one link before a tick that comes late
+_DRAIN_NS = 100_000_000
+_SHARE_OF_PERIOD = 4  # a late tick leaves a quarter of a period to what arrives, no less
 
 
 Watcher = Callable[[Session, int], None]
@@ -242,10 +243,14 @@ def fly_real(
 ) -> None:
     """Flies on the wall clock over sockets.
 
+    What arrives is taken in in small pieces, link by link, those that are known first, with a look at the clock after
+    each: however much comes, the tick and the operator's orders follow when they are due (``_Intake``).
+
     A late tick is made at once and counted by the runner; the schedule goes on from where it should be, and ticks
     that were missed altogether are left out rather than made up for. After a longer standstill (the program was
     suspended, or the machine) what lies in the sockets is old: it is taken in first, and the next tick waits for a
-    moment for what is new, so that nobody is judged, or steered, by where he was.
+    moment for what is new, so that nobody is judged, or steered, by where he was. Both take a tenth of a second at
+    most, and never twice without a tick in between.
 
     Args:
         session: the flight.
@@ -257,29 +262,36 @@ def fly_real(
         controls: what else the operator speaks by.
     """
     desk = _Desk(controls, session)
+    fleet = session.runner.fleet
+    known: list[str | None] = []
+    caught_up = False
     with Waiting([*links, *controls]) as waiting:
+        intake = _Intake(links, waiting, clock, session.deliver)
         next_tick_ns = clock.now_ns() + period_ns
         while not session.runner.done:
-            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
-                if number >= len(links):
-                    desk.read(number - len(links))
-                    continue
-                for peer, data in links[number].receive():
-                    session.deliver(number, peer, data, clock.now_ns())
+            for number in intake.take(next_tick_ns, period_ns // _SHARE_OF_PERIOD):
+                desk.read(number)
             now_ns = clock.now_ns()
             if now_ns < next_tick_ns:
                 continue
-            if now_ns - next_tick_ns >= _STOOD_STILL_NS:
+            if now_ns - next_tick_ns >= _STOOD_STILL_NS and not caught_up:
                 stood_s = (now_ns - next_tick_ns) / 1e9
                 session.remark("alarm", f"the ground station stood still for {stood_s:.1f} s", now_ns)
-                _drain(session, links, clock)
+                intake.drain(now_ns + _DRAIN_NS)
                 next_tick_ns = clock.now_ns() + _CATCH_UP_NS
+                caught_up = True
                 continue
+            caught_up = False
             if not interrupts.apply(session, now_ns):
                 return
             desk.apply(now_ns)
             for link in links:
                 link.service(now_ns)
+            if known != fleet.peer:
+                known = list(fleet.peer)
+                for number, link in enumerate(links):
+                    at = zip(known, fleet.link, strict=True)
+                    link.know([peer for peer, where in at if peer is not None and where == number])
             for datagram in session.tick(now_ns):
                 links[datagram.link].send(datagram.peer, b"".join(datagram.frames))
             desk.answer()
@@ -288,15 +300,61 @@ def fly_real(
             next_tick_ns += period_ns * ((now_ns - next_tick_ns) // period_ns + 1)
 
 
-def _drain(session: Session, links: Sequence[Link], clock: FlightClock) -> None:
-    """Takes in all that lies in the sockets."""
-    for number, link in enumerate(links):
-        for _ in range(_DRAIN_MAX):
-            arrived = link.receive()
-            if not arrived:
+class _Intake:
+    """Takes in what arrives on links, a small piece from each in turn, and never for longer than it may.
+
+    Args:
+        links: in the order of their numbers.
+        waiting: waits on these links, then on controls.
+        clock: looked at after every piece.
+        deliver: takes number of the link, peer, bytes and time of arrival.
+    """
+
+    def __init__(
+        self,
+        links: Sequence[Link],
+        waiting: Waiting,
+        clock: FlightClock,
+        deliver: Callable[[int, str, bytes, int], None],
+    ) -> None:
+        self._links, self._waiting, self._clock, self._deliver = links, waiting, clock, deliver
+        self._turn = 0
+
+    def take(self, until_ns: int, least_ns: int) -> list[int]:
+        """Waits until something comes, and takes in one round of it.
+
+        Args:
+            until_ns: neither waits nor takes in beyond this time.
+            least_ns: so long it takes in what is there even when that time is near, or over.
+
+        Returns:
+            Numbers of the controls at which something has arrived.
+        """
+        links = self._links
+        behind = {number for number, link in enumerate(links) if link.behind}
+        now_ns = self._clock.now_ns()
+        ready = self._waiting.wait(0.0 if behind else max(0.0, (until_ns - now_ns) / 1e9))
+        until_ns = max(until_ns, self._clock.now_ns() + least_ns)
+        self._round(sorted(behind.union(number for number in ready if number < len(links))), until_ns)
+        return [number - len(links) for number in ready if number >= len(links)]
+
+    def drain(self, until_ns: int) -> None:
+        """Takes in all that lies in the sockets, as far as time allows."""
+        while self._clock.now_ns() < until_ns and self._round(range(len(self._links)), until_ns):
+            pass
+
+    def _round(self, numbers: Sequence[int], until_ns: int) -> bool:
+        """One piece from each of these links; another one begins every time. Returns whether anything came."""
+        self._turn += 1
+        came = False
+        for place in range(len(numbers)):
+            number = numbers[(place + self._turn) % len(numbers)]
+            for peer, data in self._links[number].receive(RECEIVE_BYTES):
+                self._deliver(number, peer, data, self._clock.now_ns())
+                came = True
+            if self._clock.now_ns() >= until_ns:
                 break
-            for peer, data in arrived:
-                session.deliver(number, peer, data, clock.now_ns())
+        return came
 
 
 def talk(
@@ -324,11 +382,10 @@ def talk(
         The time at which it ended, ns.
     """
     with Waiting(links) as waiting:
+        intake = _Intake(links, waiting, clock, receive)
         now_ns = next_tick_ns = 0
         while now_ns < seconds * 1e9 and not interrupts.count and not done():
-            for number in waiting.wait(max(0.0, (next_tick_ns - clock.now_ns()) / 1e9)):
-                for peer, data in links[number].receive():
-                    receive(number, peer, data, clock.now_ns())
+            intake.take(next_tick_ns, _TALK_TICK_NS // _SHARE_OF_PERIOD)
             now_ns = clock.now_ns()
             if now_ns >= next_tick_ns:
                 next_tick_ns = now_ns + _TALK_TICK_NS

@@ -6,13 +6,17 @@ and the link takes, sends, and finds its way back when the other end has gone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 RETRY_NS = 1_000_000_000
 """Time between two attempts to open what has gone away."""
 BACKLOG_BYTES = 4_096
 """What a stream keeps for an other end that does not take it now; more than that is old news and is left out."""
+
+
+RECEIVE_BYTES = 4_096
+"""What ``receive`` takes at a time, so that its owner looks at the clock in between: a link may be flooded."""
 
 
 class Link(Protocol):
@@ -36,8 +40,19 @@ class Link(Protocol):
             now_ns: monotonic time; not necessarily that of other links.
         """
 
-    def receive(self) -> list[tuple[str, bytes]]:
-        """Takes what has arrived: (peer, bytes) each, in order of arrival."""
+    @property
+    def behind(self) -> bool:
+        """Whether something was taken from the system that ``receive`` has not handed out yet."""
+
+    def know(self, peers: Collection[str]) -> None:
+        """Says whom the vehicles were heard from: they come before strangers."""
+
+    def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
+        """Takes what has arrived: (peer, bytes) each, in order of arrival, those that are known first.
+
+        Args:
+            most: bytes; a piece that begins within them is taken whole.
+        """
 
     def send(self, peer: str, data: bytes) -> None:
         """Sends whole frames to a peer that was heard from (or to ``peers``); what cannot be sent is counted."""

@@ -13,6 +13,7 @@ import contextlib
 import math
 import socket
 from collections import deque
+from collections.abc import Collection
 from typing import Any
 
 from mavsdk import ComponentType, Configuration, Mavsdk
@@ -21,6 +22,7 @@ from mavsdk.logging import log_subscribe
 from mavsdk.plugins.offboard import Offboard, OffboardError, VelocityNedYaw
 
 from groundstation.core.errors import UserError
+from groundstation.links.link import RECEIVE_BYTES
 from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, message_id
 
@@ -90,13 +92,23 @@ class MavsdkLink:
         with contextlib.suppress(OSError):  # full: whoever waits is awake anyway
             self._wake_out.send(b"\0")
 
-    def receive(self) -> list[tuple[str, bytes]]:
+    @property
+    def behind(self) -> bool:
+        """Whether the queue holds something: nothing wakes for it again."""
+        return bool(self._arrived)
+
+    def know(self, peers: Collection[str]) -> None:
+        """There is nobody else."""
+
+    def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
         """Takes what has arrived."""
         with contextlib.suppress(OSError):
             self._wake_in.recv(65536)
         arrived = []
-        while self._arrived:
-            arrived.append((self._peer, self._arrived.popleft()))
+        while self._arrived and most > 0:
+            data = self._arrived.popleft()
+            most -= len(data)
+            arrived.append((self._peer, data))
         return arrived
 
     def send(self, peer: str, data: bytes) -> None:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Collection
 
 import serial
 
 from groundstation.core.errors import UserError
-from groundstation.links.link import Backlog
+from groundstation.links.link import RECEIVE_BYTES, Backlog
 from groundstation.mavlink.addresses import LinkAddress
 
-_READ_BYTES = 65_536
 _RETRY_NS = 200_000_000  # looking costs nothing, and an autopilot waits for setpoints no longer than a second
 
 
@@ -69,12 +69,20 @@ class SerialLink:
             self._next_ns = now_ns + _RETRY_NS
             self._open()
 
-    def receive(self) -> list[tuple[str, bytes]]:
+    @property
+    def behind(self) -> bool:
+        """Nothing is kept."""
+        return False
+
+    def know(self, peers: Collection[str]) -> None:
+        """There is nobody else."""
+
+    def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
         """Takes what has arrived; notices that the port is gone."""
         if self._port is None:
             return []
         try:
-            data = os.read(self._port.fileno(), _READ_BYTES)
+            data = os.read(self._port.fileno(), most)
         except BlockingIOError:
             return []
         except OSError:

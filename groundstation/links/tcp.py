@@ -10,14 +10,15 @@ import contextlib
 import errno
 import os
 import socket
+from collections.abc import Collection
 
 from groundstation.core.errors import UserError
-from groundstation.links.link import RETRY_NS, Backlog
+from groundstation.links.link import RECEIVE_BYTES, RETRY_NS, Backlog
 from groundstation.mavlink.addresses import LinkAddress
 
-_READ_BYTES = 65_536
 _CONNECT_NS = 5_000_000_000
 _CONNECTIONS_MAX = 64
+_STRANGER_BYTES = 1_024
 
 
 class _Connection:
@@ -31,10 +32,10 @@ class _Connection:
         self.peer = peer
         self._backlog = Backlog()
 
-    def receive(self) -> bytes | None:
+    def receive(self, most: int) -> bytes | None:
         """What has arrived, b"" for nothing, None when the connection has ended."""
         try:
-            return self.socket.recv(_READ_BYTES) or None
+            return self.socket.recv(most) or None
         except BlockingIOError:
             return b""
         except OSError:
@@ -119,12 +120,20 @@ class TcpClientLink:
             self._pending.close()
         self._pending, self._next_ns = None, now_ns + RETRY_NS
 
-    def receive(self) -> list[tuple[str, bytes]]:
+    @property
+    def behind(self) -> bool:
+        """Nothing is kept."""
+        return False
+
+    def know(self, peers: Collection[str]) -> None:
+        """There is nobody else."""
+
+    def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
         """Takes what has arrived; notices the end of the connection."""
         connection = self._connection
         if connection is None:
             return []
-        data = connection.receive()
+        data = connection.receive(most)
         if data is None:
             connection.socket.close()
             self._connection, self.state = None, "the other end closed the connection"
@@ -156,6 +165,7 @@ class TcpServerLink:
         self.url = address.url
         self.errors = 0
         self._connections: dict[str, _Connection] = {}
+        self._known: Collection[str] = ()
         family, where = _resolve(address)
         self.listener = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -187,7 +197,16 @@ class TcpServerLink:
         for connection in self._connections.values():
             connection.flush()
 
-    def receive(self) -> list[tuple[str, bytes]]:
+    @property
+    def behind(self) -> bool:
+        """Nothing is kept."""
+        return False
+
+    def know(self, peers: Collection[str]) -> None:
+        """They come first, and may say more at a time."""
+        self._known = frozenset(peers)
+
+    def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
         """Takes new connections, what has arrived, and leave of those that have ended."""
         with contextlib.suppress(OSError):
             while True:
@@ -199,8 +218,8 @@ class TcpServerLink:
                 else:
                     self._connections[peer] = _Connection(item, peer)
         arrived = []
-        for peer, connection in list(self._connections.items()):
-            data = connection.receive()
+        for peer, connection in sorted(self._connections.items(), key=lambda item: item[0] not in self._known):
+            data = connection.receive(most if peer in self._known else min(most, _STRANGER_BYTES))
             if data is None:
                 connection.socket.close()
                 del self._connections[peer]

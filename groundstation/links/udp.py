@@ -3,37 +3,56 @@
 A listening link (``udpin://``) answers each peer at the address that it was last heard from; a speaking one
 (``udpout://``) knows its peer from the start and takes answers from anybody. A peer that has gone away makes the
 operating system report errors on later calls; they are counted and passed over.
+
+Those that vehicles were heard from come before strangers. On Linux they have a socket of their own on the same port
+(``steering``), so that a flood of others fills another queue than theirs. Elsewhere all is taken out of one queue, and
+what strangers sent waits, or is left out when it is too much.
 """
 
 from __future__ import annotations
 
 import socket
+from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from groundstation.core.errors import UserError
+from groundstation.links.link import RECEIVE_BYTES
+from groundstation.links.steering import open_pair, steer
 from groundstation.mavlink.addresses import parse_address
 
 _DATAGRAM_MAX = 65_535
-_BURST_MAX = 2_000  # datagrams taken in one call, so that a flood cannot keep the tick waiting
+_BURST_MAX = 512  # datagrams taken in one call, whatever their size
 _BUFFER_BYTES = 4 << 20
 _PEERS_MAX = 1_000
+_Socket = socket.socket  # the link has an attribute of that name
+_STRANGERS_BYTES = 262_144  # of strangers, kept where they share a queue with the vehicles
 
 
 @dataclass
 class UdpLink:
-    """One bound UDP socket; see ``Link``."""
+    """One bound UDP port; see ``Link``.
+
+    Attributes:
+        socket: strangers' socket, or everybody's.
+        own: the socket of those that are known, where the system can tell them apart.
+    """
 
     url: str
-    socket: socket.socket
+    socket: _Socket
+    own: _Socket | None = None
     errors: int = 0
     state: str = ""
     _addresses: dict[str, tuple[str, int]] = field(default_factory=dict)
     _peers: tuple[str, ...] = ()
     _spoken_to: dict[str, None] = field(default_factory=dict)
+    _known: frozenset[str] = frozenset()
+    _strangers: deque[tuple[str, bytes]] = field(default_factory=deque)
+    _strangers_bytes: int = 0
 
     def sources(self) -> tuple[int, ...]:
-        """The socket."""
-        return (self.socket.fileno(),)
+        """The sockets."""
+        return (self.socket.fileno(),) if self.own is None else (self.own.fileno(), self.socket.fileno())
 
     def service(self, now_ns: int) -> None:
         """Nothing is ever due."""
@@ -42,23 +61,62 @@ class UdpLink:
         """The other end of ``udpout://``."""
         return self._peers
 
-    def receive(self) -> list[tuple[str, bytes]]:
-        """Takes what has arrived: (peer as ``host:port``, datagram) each, in order of arrival."""
-        arrived = []
+    @property
+    def behind(self) -> bool:
+        """Whether something of strangers waits here."""
+        return bool(self._strangers)
+
+    def know(self, peers: Collection[str]) -> None:
+        """Those come first from now on."""
+        self._known = frozenset(peers)
+        if self.own is not None:
+            steer(self.socket, [self._addresses[peer] for peer in self._known if peer in self._addresses])
+
+    def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
+        """Takes what has arrived: (peer as ``host:port``, datagram) each; whoever is known first."""
+        arrived: list[tuple[str, bytes]] = []
+        if self.own is not None:
+            left = self._take(self.own, most, arrived)
+            self._take(self.socket, max(left, 1), arrived)
+            return arrived
+        taken: list[tuple[str, bytes]] = []
+        self._take(self.socket, max(most, _STRANGERS_BYTES), taken)
+        for item in taken:
+            if item[0] in self._known:
+                arrived.append(item)
+                most -= len(item[1])
+            else:
+                self._strangers.append(item)
+                self._strangers_bytes += len(item[1])
+        while self._strangers and (most > 0 or not arrived):
+            arrived.append(self._strangers.popleft())
+            most -= len(arrived[-1][1])
+            self._strangers_bytes -= len(arrived[-1][1])
+        while self._strangers_bytes > _STRANGERS_BYTES:
+            self._strangers_bytes -= len(self._strangers.popleft()[1])
+            self.errors += 1
+        return arrived
+
+    def _take(self, item: _Socket, most: int, arrived: list[tuple[str, bytes]]) -> int:
+        """Takes datagrams from a socket while bytes are left; returns how many are left then."""
         for _ in range(_BURST_MAX):
+            if most <= 0:
+                break
             try:
-                data, address = self.socket.recvfrom(_DATAGRAM_MAX)
+                data, address = item.recvfrom(_DATAGRAM_MAX)
             except BlockingIOError:
                 break
             except OSError:  # an ICMP error of an earlier send
                 self.errors += 1
                 continue
             peer = f"{address[0]}:{address[1]}"
-            if peer not in self._addresses and len(self._addresses) >= _PEERS_MAX:
-                self._forget_one()
-            self._addresses[peer] = (address[0], address[1])
+            if peer not in self._addresses:
+                if len(self._addresses) >= _PEERS_MAX:
+                    self._forget_one()
+                self._addresses[peer] = (address[0], address[1])
             arrived.append((peer, data))
-        return arrived
+            most -= len(data)
+        return most
 
     def _forget_one(self) -> None:
         """Makes room for a new address: the oldest to which nothing was ever sent goes, if there is one."""
@@ -79,15 +137,17 @@ class UdpLink:
             self.errors += 1
 
     def close(self) -> None:
-        """Closes the socket."""
+        """Closes the sockets."""
         self.socket.close()
+        if self.own is not None:
+            self.own.close()
 
     def __enter__(self) -> UdpLink:
         """Returns itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes the socket."""
+        """Closes the sockets."""
         self.close()
 
 
@@ -101,23 +161,22 @@ def open_udp(url: str) -> UdpLink:
     if address.kind not in ("udpin", "udpout"):
         raise UserError(f"link {url}: expected udpin://HOST:PORT or udpout://HOST:PORT")
     listens = address.kind == "udpin"
-    item: socket.socket | None = None
     try:
         family, _, _, _, there = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
-        item = socket.socket(family, socket.SOCK_DGRAM)
-        item.setblocking(False)
-        item.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-        item.bind((address.host, address.port) if listens else ("", 0))
+        item, own = open_pair(family, (address.host, address.port) if listens else ("", 0))
     except (OSError, ValueError) as error:  # ValueError: what no name of a host can be
-        if item is not None:
-            item.close()
         what = "cannot listen" if listens else "cannot be reached"
         remedy = "is another ground station using the port?" if listens else "correct the address"
         raise UserError(f"link {url}: {what}: {getattr(error, 'strerror', None) or error}; {remedy}") from None
-    link = UdpLink(url, item)
+    for each in (item, own):
+        if each is not None:
+            each.setblocking(False)
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    link = UdpLink(url, item, own)
     if not listens:
         host, port = str(there[0]), int(there[1])
         for name in (address.peer, f"{host}:{port}"):  # as written, and as answers will come
             link._addresses[name] = (host, port)
         link._peers = (address.peer,)
+        link.know(list(link._addresses))
     return link

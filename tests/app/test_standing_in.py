@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -141,7 +141,14 @@ class OneLink:
     def service(self, now_ns: int) -> None:
         pass
 
-    def receive(self) -> list[tuple[str, bytes]]:
+    @property
+    def behind(self) -> bool:
+        return False
+
+    def know(self, peers: Collection[str]) -> None:
+        pass
+
+    def receive(self, most: int = 0) -> list[tuple[str, bytes]]:
         return self._old.pop() if self._old else []
 
     def send(self, peer: str, data: bytes) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import selectors
 import socket
 from contextlib import ExitStack
@@ -10,7 +11,8 @@ import pytest
 
 from groundstation.core.errors import UserError
 from groundstation.links import udp
-from groundstation.links.udp import open_udp
+from groundstation.links.steering import program
+from groundstation.links.udp import UdpLink, open_udp
 from tests.links.waits import LIMIT_S, arrived_on
 
 
@@ -85,3 +87,111 @@ def test_a_flood_of_addresses_does_not_make_a_vehicle_forgotten(monkeypatch: pyt
         assert len(link._addresses) == 4
         vehicle.settimeout(LIMIT_S)
         assert [vehicle.recv(100), vehicle.recv(100)] == [b"first", b"second"]
+
+
+def _flooded(link: UdpLink, stack: ExitStack, *, strangers: int, big: int) -> tuple[str, list[tuple[str, bytes]]]:
+    """A vehicle that is known speaks while strangers send much; returns it and what is taken in one piece."""
+    where = link.socket.getsockname()
+    vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+    vehicle.sendto(b"hello", where)
+    ((peer, _),) = arrived_on(link)
+    link.know([peer])
+    for number in range(strangers):
+        other.sendto(bytes(big), where)
+        if number % 100 == 50:
+            vehicle.sendto(b"position", where)
+    return peer, arrived_on(link)
+
+
+def test_those_that_are_known_come_before_a_flood_of_strangers() -> None:
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        peer, arrived = _flooded(link, stack, strangers=400, big=1_400)
+        assert [data for _, data in arrived[:4]] == [b"position"] * 4
+        assert {name for name, _ in arrived[:4]} == {peer}
+        assert sum(len(data) for _, data in arrived) < 20_000  # strangers get what is left of the piece
+
+
+def test_a_full_queue_of_strangers_takes_no_room_from_those_that_are_known() -> None:
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        if link.own is None:
+            pytest.skip("this system's kernel does not sort datagrams")
+        link.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4_096)
+        peer, arrived = _flooded(link, stack, strangers=1_000, big=1_400)
+        assert [item for item in arrived if item[0] == peer] == [(peer, b"position")] * 10
+
+
+def test_without_the_kernel_strangers_wait_and_what_is_too_much_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def alone(family: int, where: tuple[str, int]) -> tuple[socket.socket, None]:
+        item = socket.socket(family, socket.SOCK_DGRAM)
+        item.bind(where)
+        return item, None
+
+    monkeypatch.setattr(udp, "open_pair", alone)
+    monkeypatch.setattr(udp, "_STRANGERS_BYTES", 60_000)
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        peer, arrived = _flooded(link, stack, strangers=200, big=1_000)
+        taken = list(arrived)
+        while link.behind or arrived:
+            arrived = link.receive()
+            taken += arrived
+        assert [item for item in taken if item[0] == peer] == [(peer, b"position")] * 2
+        assert len(taken) + link.errors == 202
+        names = [name == peer for name, _ in taken]
+        assert names[0]
+        assert link.receive() == []
+
+
+def test_who_moves_to_another_port_is_heard_there_and_known_then() -> None:
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        where = link.socket.getsockname()
+        for _ in range(3):
+            vehicle = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            vehicle.settimeout(LIMIT_S)
+            for again in range(2):
+                vehicle.sendto(b"hello", where)
+                ((peer, data),) = arrived_on(link)
+                assert (peer, data) == (f"127.0.0.1:{_port_of(vehicle)}", b"hello"), again
+                link.know([peer])
+            link.send(peer, b"answer")
+            assert vehicle.recv(100) == b"answer"
+
+
+def _choice(steps: list[tuple[int, int, int, int]], host: str, port: int, first_byte: int = 0x45) -> int:
+    """Runs a classic BPF program over an IPv4 and UDP header; written anew from the description in linux/filter.h."""
+    header = bytes([first_byte]) + bytes(11) + socket.inet_aton(host) + bytes(4) + port.to_bytes(2, "big") + bytes(6)
+    register, at = 0, 0
+    for _ in range(10_000):
+        code, true, false, k = steps[at]
+        at += 1
+        if code in (0x30, 0x28, 0x20):
+            start = k - (1 << 32) + 0x100000
+            register = int.from_bytes(header[start : start + {0x30: 1, 0x28: 2, 0x20: 4}[code]], "big")
+        elif code == 0x15:
+            at += true if register == k else false
+        elif code == 0x05:
+            at += k
+        elif code == 0x06:
+            return k
+    raise AssertionError("does not end")
+
+
+def test_the_program_knows_whom_it_was_told_and_no_others() -> None:
+    known = [("10.0.0.1", 14580), ("10.0.0.1", 14581), ("10.0.0.2", 14580), ("192.168.1.255", 1), ("not a number", 5)]
+    steps = program(known)
+    for host, port in itertools.product(
+        ("10.0.0.1", "10.0.0.2", "192.168.1.255", "10.0.0.3"), (14580, 14581, 1, 2, 65535)
+    ):
+        assert _choice(steps, host, port) == ((host, port) in known), (host, port)
+    assert _choice(steps, "10.0.0.1", 14580, 0x46) == 0
+    assert _choice(program([]), "10.0.0.1", 14580) == 0
+
+
+def test_a_program_of_a_thousand_vehicles_fits_and_takes_those_that_do() -> None:
+    known = [("10.0.0.1", 1_000 + number) for number in range(1_000)]
+    assert all(_choice(program(known), *item) == 1 for item in known[::97])
+    many = [(f"10.0.{number // 200}.{number % 200 + 1}", 5) for number in range(1_000)]
+    assert len(program(many)) <= 4_096
+    assert _choice(program(many), *many[0]) == 1
+    with open_udp("udpin://127.0.0.1:0") as link:
+        link.know([])
+        assert link.receive() == []
