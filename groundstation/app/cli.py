@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "signing": ("signing", "Make a key that MAVLink frames are signed with, give it to vehicles."),
     "design": ("design", "Design the gains of a formation."),
     "sitl": ("sitl", "Run emulated vehicles for any ground station."),
+    "sitl-env": ("sitl_env", "Print the lines that start a mission's team on the autopilots' own simulators."),
     "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),
     "report": ("report", "Draw the pictures of a log."),
     "import": ("import_", "Turn another program's recorded flight into a log."),
@@ -65,7 +66,7 @@ def build(called: str | None) -> typer.Typer:
         function = _nothing
         if name == called:
             module = import_module(f"groundstation.app.commands.{module_name}")
-            function = getattr(module, "import_" if name == "import" else name)
+            function = getattr(module, "import_" if name == "import" else name.replace("-", "_"))
         application.command(name=name, help=None if name == called else overview)(function)
     return application
 
