@@ -675,6 +675,7 @@ class Runner:
         names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in command.vehicles)
         self._killing.want(command.vehicles, now_ns)
         self._released[list(command.vehicles)] = True
+        self._monitor.leave(self._killing.asked)
         reason = f"{'everybody' if command.everybody else names}: killed by the operator"
         if command.everybody or self.phase is Phase.CONNECT:
             self._abort(reason)

@@ -18,7 +18,7 @@ from groundstation.app.verify import verify_log
 from groundstation.mission.phases.phase import Note
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
-from sitl.world import World
+from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, four, pair
 
 PERIOD_NS = 20_000_000
@@ -381,3 +381,25 @@ def test_what_is_not_understood_is_said_and_changes_nothing(tmp_path: Path) -> N
     assert len(flight.texts("alarm")) == 1
     assert "operator command 'dance' is none of hold" in flight.texts("alarm")[0]
     _verified(log)
+
+
+def test_a_killed_vehicle_that_falls_silent_is_judged_by_nobody() -> None:
+    """Killed while holding, its link silent 1.5 s later: no finding names it, nobody sends it home."""
+    killed: list[int] = []
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.HOLD and not killed:
+            killed.append(flight.now_ns)
+            flight.session.operator("kill 4", flight.now_ns)
+        return False
+
+    def hush(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        silent = datagram.vehicle_index == 3 and killed and flight.now_ns - killed[0] >= 1.5 * SECOND_NS
+        return [] if silent else [datagram]
+
+    flight = Flight(four("on_lost=continue_open", "steps.1.hold.seconds=8"), tamper=hush, interrupt_when=look)
+    told = [text for text in flight.texts("alarm") if text.startswith("vehicle 4: ")]
+    assert told == [], told
+    assert flight.runner.reason.split("; ")[0] == "vehicle 4: killed by the operator"
+    assert "nothing heard" not in flight.runner.reason
+    assert flight.phase_seen[-4:] == [Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]

@@ -71,7 +71,7 @@ class Monitor:
         self._frames.begin(fleet.origin_moved_ns, fleet.restarts)
 
     def leave(self, vehicles: BoolArray) -> None:
-        """Takes those out of sight that were never ours: no finding concerns them, obstacles they are, shape (n,)."""
+        """Takes those out of sight that are not ours: no finding concerns them, obstacles they are, shape (n,)."""
         self._gone |= vehicles
 
     def trusted(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
