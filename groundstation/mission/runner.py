@@ -258,7 +258,7 @@ class Runner:
             velocity = self._steer(now_ns, poses)
         self._guarded(now_ns, self._killing.step, now_ns)
         streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
-        streaming &= ~self._climb.under_way
+        streaming &= ~self._climb.under_way | standing  # whoever is taken over has climbed long ago
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
         if self.phase is Phase.SILENT and not (self._spoken_to or self._killing.asked.any()):
             return []  # heartbeats too: some autopilots act only when those are gone

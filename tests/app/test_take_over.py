@@ -308,3 +308,20 @@ def test_teams_that_fly_by_gps_find_their_frame_again_in_the_air(name: str, tmp_
     _assert_home(flight)
     assert _off_pads_m(flight).max() < 2.0
     assert verify_log(log).mismatches == 0
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+def test_whoever_is_taken_over_gets_setpoints_before_anybody_flies_home(autopilot: str) -> None:
+    """ArduCopters too, which take off by command and get none while they climb."""
+    plan = pair("limits.hold_s=60", autopilots=(autopilot, autopilot))
+    world = _left_in_the_air(plan, still_in(Phase.FORM, 0.5), prepare=_holds, idle_s=1.0)
+    counts: list[int] = []
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.TAKEOVER:
+            counts.append(flight.runner.setpoints_sent)
+        return False
+
+    flight = Flight(plan, world=world, take_over=True, interrupt_when=look)
+    assert flight.runner.outcome == "completed"
+    assert counts[-1] > 2 * 50
