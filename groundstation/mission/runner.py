@@ -39,6 +39,7 @@ from groundstation.mission.phases.arming import Arming
 from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES, Figures, Note, Phase
 from groundstation.mission.phases.take_over import TakeOver, out_of_sight
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import enlist
 from groundstation.mission.words import Words
 
 __all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]
@@ -53,6 +54,7 @@ _FAULTS_NOTED = 5
 _SIGHTLESS_NS = 2 * _SECOND_NS  # so long everybody stands still where poses cannot be worked out
 _TAKEOFF_TOLERANCE_M = 0.1
 _PAD_TOLERANCE_M = 0.15
+_STREAMING_PHASES = AIRBORNE_PHASES | {Phase.TAKEOVER, Phase.ARM}
 _SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
 _OF_MARGIN = 0.35  # share of the positions' own error that those tolerances are widened to
 
@@ -102,7 +104,8 @@ class Runner:
         self._preflight = Preflight(plan, self._station, self._frame, look_only=look_only)
         self._arming = Arming(plan, self.fleet, self._station.commands)
         self._guide = Guide(plan)
-        self._climb = Climb(plan, self._guide.beside_m)
+        self._roster = enlist(plan, untaken=take_over)
+        self._climb = Climb(plan, self._roster, self._guide.beside_m)
         self._guide_apart = Guide(plan)  # of those that fly apart from the formation: its setpoints are theirs alone
         self._monitor = Monitor(plan)
         self._check_only = check_only
@@ -114,13 +117,14 @@ class Runner:
         self._last_step_ns = NEVER
         self._steady_since_ns = NEVER
         self._notes: list[Note] = [Note("phase", self.phase.value)]
-        self._take_over = TakeOver(plan, self._station, self._frame, self._preflight, start_ns)
-        self._flight = FormationFlight(plan, self._guide, self.figures, self._note)
-        self._landing = Landing(plan, self.fleet, self._station.commands, self._guide.beside_m)
-        self._killing = Killing(plan, self.fleet, self._station.commands)
+        self._take_over = TakeOver(
+            plan, self._station, self._frame, self._preflight, roster=self._roster, start_ns=start_ns
+        )
+        self._flight = FormationFlight(plan, self._roster, self._guide, self.figures, self._note)
+        self._landing = Landing(plan, self.fleet, self._station.commands, self._roster, self._guide.beside_m)
+        self._killing = Killing(plan, self.fleet, self._station.commands, self._roster)
         self._faults = 0
         self._sightless_since_ns = NEVER
-        self._released: BoolArray = np.zeros(n, dtype=np.bool_)
         self._yaw_ned_rad: FloatArray = np.zeros(n)
         self._words = Words()
         self._blame = Blame()
@@ -130,11 +134,10 @@ class Runner:
         self._lands_here = False
         self._out_of_turn: list[tuple[int, int]] = []
         self._spoken_to = False  # after silence: the operator wants something of the vehicles again
-        self._homing: BoolArray = np.zeros(n, dtype=np.bool_)
         self._home_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._sent_ned_m_s: FloatArray = np.zeros((n, 3))
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
-        self._stay_ned_m: FloatArray = self._pads_ned_m.copy()
+        self._rest_ned_m: FloatArray = self._pads_ned_m.copy()
         self._spread_m = _OF_MARGIN * plan.margin_m * min(plan.slowness, _SLOWNESS_MAX)
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
@@ -242,27 +245,24 @@ class Runner:
             except Exception as error:
                 self._fault(error, now_ns)
             # Whatever the monitors do, who has been asked to land is asked until it does.
-            self._guarded(now_ns, self._landing.step, now_ns, poses, self._released)
-        standing: BoolArray = np.zeros(n, dtype=np.bool_)
+            self._guarded(now_ns, self._landing.step, now_ns, poses)
         if self.phase is Phase.CONNECT:
             self._guarded(now_ns, self._connect, now_ns)
         elif self.phase is Phase.TAKEOVER:
             self._guarded(now_ns, self._take, now_ns)
-            standing = self._take_over.taken
         elif self.phase is Phase.ARM:
             self._guarded(now_ns, self._arm, now_ns, poses)
         elif self.phase is Phase.SILENT:
-            self._guarded(now_ns, self._landing.step, now_ns, poses, self._released)
+            self._guarded(now_ns, self._landing.step, now_ns, poses)
             self._guarded(now_ns, self._come_down, now_ns)
         elif self.phase in AIRBORNE_PHASES and not sightless:
             velocity = self._steer(now_ns, poses)
         self._guarded(now_ns, self._killing.step, now_ns)
-        streaming = (standing | (self.phase in AIRBORNE_PHASES or self.phase is Phase.ARM)) & ~self._released
-        streaming &= ~self._climb.under_way | standing  # whoever is taken over has climbed long ago
+        streaming = self._roster.steered & (self.phase in _STREAMING_PHASES)
         streaming &= (self.figures.ticks + np.arange(n)) % self._setpoint_every == 0
-        if self.phase is Phase.SILENT and not (self._spoken_to or self._killing.asked.any()):
+        if self.phase is Phase.SILENT and not (self._spoken_to or self._roster.killed.any()):
             return []  # heartbeats too: some autopilots act only when those are gone
-        still = self._monitor.hold | self._landing.asked | self._released
+        still = self._monitor.hold | ~self._roster.follows
         velocity = self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity)
         try:
             return self._station.transmit(now_ns, velocity, self._yaw_ned_rad, streaming)
@@ -366,23 +366,21 @@ class Runner:
 
     def _take(self, now_ns: int) -> None:
         """Holds whoever is in the air, then brings everybody home whose place is known."""
-        state = self._take_over.step(now_ns, self._released)
+        state = self._take_over.step(now_ns)
         for note in state.notes:
             self._note("info", note)
         self.problems = state.problems + state.waiting
         self._yaw_ned_rad = self._take_over.yaw_ned_rad
         if not state.done:
             return
-        home = self._take_over.home
+        home = state.home
         if not home.any():
             self._refuse(state.problems or ["nobody is in the air; there is nothing to take over"], now_ns)
             return
         self._frame.settle_in_flight(self.fleet)
         self.fleet.hold_addresses(self.plan.signed_links)
         self._monitor.begin(self.fleet)
-        self._released |= ~home
-        self._monitor.leave(self._released)
-        self._climb.under_way[:] = False
+        self._roster.release(np.flatnonzero(~home).tolist())
         self._flight.gather_ned_m = self._take_over.gather_ned_m()
         self._takeoff_ns = now_ns
         for line in self._frame.words():
@@ -422,7 +420,7 @@ class Runner:
         target_m = (self._pads_ned_m - self._flight.gather_ned_m)[:, 2]
         self._climb.step(now_ns, self.fleet, self._station.commands, height_m, target_m)
         near = offset < max(_TAKEOFF_TOLERANCE_M, self._spread_m)
-        if bool((near & ~self._climb.under_way).all()):
+        if bool((near & ~self._roster.climbing).all()):
             if self._steady(now_ns):
                 self._enter(self._flight.next_step(now_ns, poses), now_ns)
         else:
@@ -444,9 +442,10 @@ class Runner:
             self._give_up(tick.give_up, now_ns)
         elif tick.enter is not None:
             self._enter(tick.enter, now_ns)
-        if not self._flight.gone.any():
+        apart = ~self._roster.in_formation
+        if not apart.any():
             return tick.vel_ned_m_s
-        return np.where(self._flight.gone[:, None], self._fly_apart(now_ns, poses), tick.vel_ned_m_s)
+        return np.where(apart[:, None], self._fly_apart(now_ns, poses), tick.vel_ned_m_s)
 
     def _tell_out_of_turn(self) -> None:
         """Tells once that vehicles have exchanged roles for which the autopilots' turns to return are wrong."""
@@ -466,12 +465,11 @@ class Runner:
         """Those that no longer fly the formation: home, where they land, or standing where they are to land."""
         home = self._flight.gather_ned_m
         near = np.linalg.norm(poses.pos_team_ned_m - home, axis=1) < max(_PAD_TOLERANCE_M, self._spread_m)
-        near &= self._homing & ~self._landing.here
+        near &= self._roster.homeward
         self._home_since_ns = np.where(near, np.where(self._home_since_ns == NEVER, now_ns, self._home_since_ns), NEVER)
         arrived = np.flatnonzero(near & (now_ns - self._home_since_ns >= _STEADY_NS)).tolist()
-        self._stay_ned_m[arrived] = home[arrived]
-        self._landing.want_here(arrived, now_ns)
-        targets = np.where(self._homing[:, None] & ~self._landing.here[:, None], home, self._stay_ned_m)
+        self._landing.want_here(arrived, home, now_ns)
+        targets = np.where(self._roster.homeward[:, None], home, self._roster.place_ned_m)
         return self._guide_apart.to_targets(poses, targets).vel_ned_m_s
 
     def _going_on(self) -> bool:
@@ -479,12 +477,12 @@ class Runner:
         phase = self._resume_to if self.phase is Phase.PAUSE else self.phase
         return self.plan.spec.on_lost != "return_all" and phase in FORMATION_PHASES
 
-    def _part(self, vehicles: Sequence[int], reason: str, now_ns: int) -> None:
+    def _part(self, reason: str, now_ns: int) -> None:
         """Some vehicles drop out: the others come back, or go on without them, as the mission says."""
         if not self._going_on():
             self._give_up(reason, now_ns)
             return
-        why_not = self._flight.leave(vehicles, now_ns)
+        why_not = self._flight.close_up(now_ns)
         if why_not:
             self._give_up(f"{reason}; {why_not}", now_ns)
             return
@@ -498,7 +496,7 @@ class Runner:
     def _return(self, now_ns: int, poses: Poses) -> FloatArray:
         offset = np.linalg.norm(poses.pos_team_ned_m - self._flight.gather_ned_m, axis=1)
         away = (offset >= max(_PAD_TOLERANCE_M, self._spread_m)) & self.fleet.armed
-        away &= ~(self._released | self._landing.here | self._monitor.blind | self._landing.lost(now_ns))
+        away &= self._roster.waited_for & ~(self._monitor.blind | self._landing.lost(now_ns))
         if not away.any():
             if self._steady(now_ns):
                 self._enter(Phase.LAND, now_ns)
@@ -507,8 +505,7 @@ class Runner:
             if now_ns - self._phase_ns >= self.plan.spec.land.timeout_s * _SECOND_NS:
                 self._note("alarm", f"not everybody is back after {self.plan.spec.land.timeout_s:g} s; landing")
                 self._enter(Phase.LAND, now_ns)
-        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
-        return self._flight.fly_home(poses, self._absent(), targets)
+        return self._flight.fly_home(poses, self._absent(), self._targets_ned_m(self._flight.gather_ned_m))
 
     def _land(self, now_ns: int, poses: Poses) -> FloatArray:
         if self._takeoff_ns == NEVER:
@@ -522,10 +519,13 @@ class Runner:
             waits &= now_ns - self._phase_ns < self.plan.spec.land.timeout_s * _SECOND_NS
             self._landing.want(np.flatnonzero(~waits).tolist(), now_ns)
         self._come_down(now_ns)
-        if (self._landing.asked | self._released).all():
+        if not self._roster.follows.any():
             return np.zeros((self.plan.size, 3))  # the autopilots land by themselves, nobody is left to be steered
-        targets = np.where(self._landing.here[:, None], self._stay_ned_m, self._flight.gather_ned_m)
-        return self._guide.to_targets(poses, targets).vel_ned_m_s
+        return self._guide.to_targets(poses, self._targets_ned_m(self._flight.gather_ned_m)).vel_ned_m_s
+
+    def _targets_ned_m(self, others_ned_m: FloatArray) -> FloatArray:
+        """The places of those that land where they are, and those given for the others, shape (n, 3)."""
+        return np.where(self._roster.lands_here[:, None], self._roster.place_ned_m, others_ned_m)
 
     def _pause(self, now_ns: int, poses: Poses) -> FloatArray:
         """Stands still at the operator's word, as long as that is safe; avoidance stays on."""
@@ -534,14 +534,14 @@ class Runner:
             why = f"held for {self.plan.spec.limits.hold_s:g} s, which is the limit"
         if why is not None:
             self._give_up(f"{why}; the hold is over, everybody comes back", now_ns, urgent=True)
-        elif (self._landing.here | self._released | ~self.fleet.armed).all():
+        elif not (self._roster.waited_for & self.fleet.armed).any():
             self._enter(Phase.LAND, now_ns)
-        return self._guide.to_targets(poses, self._stay_ned_m).vel_ned_m_s
+        return self._guide.to_targets(poses, self._targets_ned_m(self._rest_ned_m)).vel_ned_m_s
 
     def _too_low_to_hold(self) -> str | None:
         """Words for a battery that does not allow standing still, None when all do."""
         minimum = self.plan.spec.limits.battery_min
-        flying = self.airborne & ~self._released & ~self._landing.asked
+        flying = self.airborne & self._roster.follows
         for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & flying):
             left = self.fleet.battery_remaining[vehicle]
             return f"vehicle {self.fleet.sysid[vehicle]}: battery at {left:.0%}, minimum is {minimum:.0%}"
@@ -549,7 +549,7 @@ class Runner:
 
     def _come_down(self, now_ns: int) -> None:
         """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
-        up = self._landing.still_up(self._phase_ns, now_ns, self._released)
+        up = self._landing.still_up(self._phase_ns, now_ns)
         up |= self._killing.not_shown() & ~self._landing.lost(now_ns)
         down_max_ns = _DOWN_MAX_NS
         if self.phase is Phase.SILENT and np.isfinite(self.failsafe.down_s):
@@ -572,14 +572,14 @@ class Runner:
             self._abort(f"{', '.join(names)}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
             height_m = (self._pads_ned_m - self._frame.poses(self.fleet, now_ns).pos_team_ned_m)[:, 2]
-            for vehicle in np.flatnonzero(up & self._killing.asked).tolist():
+            for vehicle in np.flatnonzero(up & self._roster.killed).tolist():
                 self._abort(
                     f"vehicle {self.fleet.sysid[vehicle]}: told to stop its motors, and still armed by its own report"
                     f" after {down_max_ns // _SECOND_NS:g} s; keep clear of it, stop it by remote control"
                 )
-            for vehicle in np.flatnonzero(up & ~self._killing.asked).tolist():
+            for vehicle in np.flatnonzero(up & ~self._roster.killed).tolist():
                 self._abort(self._landing.words_of_late(vehicle, float(height_m[vehicle]), down_max_ns // _SECOND_NS))
-        flying = self.airborne & ~lost & ~self._killing.asked & ~up
+        flying = self.airborne & ~lost & ~self._roster.killed & ~up
         for text in still_flying(self.fleet, self.plan, flying, now_ns):
             self._abort(text)
         self._finish(now_ns)
@@ -620,10 +620,9 @@ class Runner:
     def _hold_still(self, poses: Poses, now_ns: int) -> None:
         """Everybody stops; what the team was doing goes on where it was when the operator says so."""
         self._resume_to, self._resume_phase_ns = self.phase, self._phase_ns
-        rest = self._rest(poses)
-        self._stay_ned_m = np.where(self._landing.here[:, None], self._stay_ned_m, rest)
+        self._rest_ned_m = self._rest(poses)
         # Who has left the ground stays where it is; a climb by command would go on to its end.
-        self._climb.under_way &= ~self.airborne
+        self._roster.end_climb(self.airborne)
         self._enter(Phase.PAUSE, now_ns)
 
     def _resume(self, now_ns: int) -> None:
@@ -643,20 +642,18 @@ class Runner:
             return
         rest = self._rest(poses)
         if not command.everybody:
-            vehicles = [vehicle for vehicle in command.vehicles if not self._released[vehicle]]
+            vehicles = [vehicle for vehicle in command.vehicles if self._roster.ours[vehicle]]
             for vehicle in command.vehicles:
                 name = f"vehicle {self.fleet.sysid[vehicle]}"
-                if self._released[vehicle]:
+                if not self._roster.ours[vehicle]:
                     self._note("alarm", f"operator: {name} is released and not ours to land")
-            self._stay_ned_m[vehicles] = rest[vehicles]
-            self._climb.under_way[vehicles] = False
-            self._landing.want_here(vehicles, now_ns)
+            self._landing.want_here(vehicles, rest, now_ns)
             if vehicles:
                 names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in vehicles)
-                self._part(vehicles, f"{names}: landed by the operator", now_ns)
+                self._part(f"{names}: landed by the operator", now_ns)
             return
         self._abort("landed by the operator")
-        ours = ~(self._released | self._monitor.blind | self._landing.here)
+        ours = self._roster.waited_for & ~self._monitor.blind
         fence = Fence.from_enu(np.array(self.plan.spec.fence.min_m), np.array(self.plan.spec.fence.max_m))
         # They are called there when within the tolerance.
         tolerance_m = max(_PAD_TOLERANCE_M, self._spread_m)
@@ -667,22 +664,20 @@ class Runner:
             name = f"vehicle {self.fleet.sysid[vehicle]}"
             self._note("info", f"{name}: moves {aside_m[vehicle]:.2f} m aside before it lands; somebody is below")
         self._lands_here = True
-        self._climb.under_way[:] = False
+        self._roster.end_climb(self._roster.climbing)
         self._enter(Phase.LAND, now_ns)
 
     def _kill(self, command: OperatorCommand, now_ns: int) -> None:
         """Motors stop; whoever is killed is no longer ours."""
         names = ", ".join(f"vehicle {self.fleet.sysid[vehicle]}" for vehicle in command.vehicles)
         self._killing.want(command.vehicles, now_ns)
-        self._released[list(command.vehicles)] = True
-        self._monitor.leave(self._killing.asked)
         reason = f"{'everybody' if command.everybody else names}: killed by the operator"
         if command.everybody or self.phase is Phase.CONNECT:
             self._abort(reason)
             if self.phase is not Phase.SILENT:
                 self._enter(Phase.SILENT, now_ns)
         else:
-            self._part(command.vehicles, reason, now_ns)
+            self._part(reason, now_ns)
 
     def _rest(self, poses: Poses) -> FloatArray:
         """Where everybody comes to rest when told to stop now, shape (n, 3)."""
@@ -693,14 +688,14 @@ class Runner:
 
     def _absent(self) -> BoolArray:
         """Vehicles that do not follow setpoints at the moment, shape (n,)."""
-        return self._monitor.hold | self._monitor.blind | self._monitor.foreign | self._released | self._landing.asked
+        return self._monitor.hold | self._monitor.blind | self._monitor.foreign | ~self._roster.follows
 
     def _watch(self, poses: Poses, now_ns: int) -> Poses:
         """Acts on what the monitors find in the air; returns the poses to steer by, with obstacles marked."""
         fleet, pose_ns = self.fleet, self._frame.pose_ns(self.fleet)
         poses = self._monitor.trusted(poses, pose_ns, now_ns)
-        excused = self._landing.asked | self._killing.asked
-        elsewhere = self._released | self._climb.under_way | self._landing.here | self._monitor.foreign
+        roster, were = self._roster, self._roster.in_formation
+        steered = roster.steered & ~(roster.lands_here | self._monitor.foreign | self._monitor.hold)
         sight = Sight(
             fleet=fleet,
             now_ns=now_ns,
@@ -709,8 +704,10 @@ class Runner:
             pose_ns=pose_ns,
             drift_m=self._frame.drift_m(fleet, now_ns),
             sent_ned_m_s=self._sent_ned_m_s,
-            steered=~(elsewhere | self._monitor.hold),
-            excused=excused,
+            ours=roster.ours,
+            steered=steered,
+            lands_here=roster.lands_here,
+            excused=roster.told_to_land,
             blind=self._monitor.blind,
             airborne=self.airborne,
             going_on=self._going_on(),
@@ -718,26 +715,24 @@ class Runner:
         findings = self._monitor.look(sight)
         for text in findings.alarms:
             self._note("alarm", text)
+        roster.release(findings.release)
         for vehicle in findings.release:
-            self._released[vehicle] = True
             self._station.commands.clear(vehicle)
         if findings.land:
-            self._stay_ned_m[findings.land] = poses.pos_team_ned_m[findings.land]
-            self._landing.want_here(findings.land, now_ns)
+            self._landing.want_here(findings.land, poses.pos_team_ned_m, now_ns)
         if findings.gone:
-            self._homing[findings.home] = True
-            dropped = sorted({*findings.land, *findings.release, *findings.home})
-            if not self._flight.gone[dropped].all():
-                self._part(dropped, "; ".join(findings.gone), now_ns)
+            roster.go_home(findings.home)
+            if (were & ~roster.in_formation).any():
+                self._part("; ".join(findings.gone), now_ns)
         if findings.aborts:
             reason = self._blame.of(findings.aborts, self.reason)
             self._give_up(reason, now_ns, urgent=findings.urgent, follows=not reason)
         if findings.silence:
             self._abort(findings.silence)
             self._enter(Phase.SILENT, now_ns)
-        poses = self._monitor.obstacles(poses, fleet, pose_ns, self._landing.asked, now_ns)
+        poses = self._monitor.obstacles(poses, fleet, pose_ns, roster, now_ns)
         # Nobody stays under a vehicle that comes down.
-        sinking = poses.sinking | (self._landing.here & fleet.armed) | self._killing.falling(now_ns)
+        sinking = poses.sinking | (roster.lands_here & fleet.armed) | self._killing.falling(now_ns)
         return replace(poses, sinking=sinking)
 
     def _give_up(
@@ -766,7 +761,7 @@ class Runner:
         elif self.phase is Phase.ARM:
             self._enter(Phase.LAND, now_ns)
         else:
-            self._climb.under_way[:] = False
+            self._roster.end_climb(self._roster.climbing)
             self._enter(Phase.STOP if stop else Phase.RETURN, now_ns)
 
     def _abort(self, reason: str) -> None:
@@ -791,7 +786,7 @@ class Runner:
     def _enter(self, phase: Phase, now_ns: int) -> None:
         if self.phase in (Phase.ARM, Phase.TAKEOFF):
             # An arming, disarming or takeoff that is asked again now would be obeyed.
-            for vehicle in np.flatnonzero(~self._killing.asked).tolist():
+            for vehicle in np.flatnonzero(~self._roster.killed).tolist():
                 self._station.commands.clear(vehicle)
         self.phase = phase
         self._phase_ns = now_ns

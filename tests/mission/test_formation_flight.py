@@ -12,6 +12,7 @@ from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.phases.phase import Figures, Phase
 from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.roster import enlist
 
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 TICK_NS = 20_000_000
@@ -24,8 +25,9 @@ class Team:
     def __init__(self, *changes: str, roles: bool = True) -> None:
         self.plan = load_mission(CUBE8, changes)
         self.figures, self.texts = Figures(), list[str]()
+        self.roster = enlist(self.plan)
         self.flight = FormationFlight(
-            self.plan, Guide(self.plan), self.figures, lambda kind, text, given: self.texts.append(text)
+            self.plan, self.roster, Guide(self.plan), self.figures, lambda kind, text, given: self.texts.append(text)
         )
         if roles:
             self.flight.assign(first_roles(self.plan))
@@ -37,6 +39,11 @@ class Team:
 
     def poses(self) -> Poses:
         return Poses(self.pos, self.vel, np.tile(LEVEL, (self.plan.size, 1)), self.nobody)
+
+    def leave(self, vehicles: list[int]) -> str:
+        """Some drop out; returns why the others cannot go on."""
+        self.roster.release(vehicles)
+        return self.flight.close_up(0)
 
     def ends(self, limit_s: float = 60.0, *, absent: BoolArray | None = None, follow: bool = True) -> Phase | str:
         """Flies on until something follows; returns the phase, or why it cannot go on."""
@@ -80,7 +87,7 @@ def test_a_team_that_does_not_form_in_its_time_gives_up() -> None:
 )
 def test_a_team_that_cannot_go_on_without_some_says_why(changes: tuple[str, ...], lost: list[int], words: str) -> None:
     team = Team("on_lost=continue_open", *changes)
-    assert words in team.flight.leave(lost, 0)
+    assert words in team.leave(lost)
 
 
 def test_a_graph_that_those_left_do_not_hold_together_is_no_formation(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,18 +96,18 @@ def test_a_graph_that_those_left_do_not_hold_together_is_no_formation(monkeypatc
 
     team = Team("on_lost=continue_open")
     monkeypatch.setattr("groundstation.mission.flight.formation_flight.task_for_those_left", broken)
-    assert team.flight.leave([3], 0) == "falls into two"
+    assert team.leave([3]) == "falls into two"
 
 
 def test_the_first_roles_are_filled_up_from_the_last() -> None:
     team = Team("on_lost=continue_take_over")
     before = team.flight.role_of_agent.copy()
     first, last = (int(np.flatnonzero(before == role)[0]) for role in (0, 7))
-    assert team.flight.leave([first], 0) == ""
+    assert team.leave([first]) == ""
     assert team.flight.role_of_agent[last] == 0
     assert team.figures.role_swaps == 1
     roles = team.flight.role_of_agent
-    assert team.flight.leave([int(np.flatnonzero(roles == 6)[0])], 0) == ""  # the last that is taken: nobody moves up
+    assert team.leave([int(np.flatnonzero(roles == 6)[0])]) == ""  # the last that is taken: nobody moves up
     assert team.figures.role_swaps == 1
     assert team.ends() is Phase.HOLD
 

@@ -14,6 +14,7 @@ from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.flight.landing import Landing
 from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.roster import enlist
 
 SECOND_NS = 1_000_000_000
 IN_AIR = 2
@@ -54,7 +55,7 @@ class _Team:
         self.fleet.landed_state[:] = LANDED_ON_GROUND
         self.fleet.landed_state[:2] = IN_AIR
         self.wishes = _Wishes(8)
-        self.landing = Landing(self.plan, self.fleet, self.wishes, Guide(self.plan).beside_m)
+        self.landing = Landing(self.plan, self.fleet, self.wishes, enlist(self.plan), Guide(self.plan).beside_m)
         self.landing.want([0, 1], 0)
         self.pos_enu_m = np.array(pads)
 
@@ -65,7 +66,7 @@ class _Team:
         poses = Poses(frames.ned_from_enu(self.pos_enu_m), np.zeros((8, 3)), still, nobody)
         self.wishes.asked.clear()
         self.fleet.landed_ns[:] = round(now_s * SECOND_NS)
-        self.landing.step(round(now_s * SECOND_NS), poses, nobody)
+        self.landing.step(round(now_s * SECOND_NS), poses)
         return [vehicle for vehicle, _ in self.wishes.asked]
 
 

@@ -19,6 +19,7 @@ from groundstation.mission.monitors.findings import Findings, Lasting, Sight
 from groundstation.mission.monitors.flight import bounded_growth_m
 from groundstation.mission.monitors.positions import PoseJump
 from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.roster import enlist
 
 SECOND_NS = 1_000_000_000
 TICK_NS = 20_000_000
@@ -51,7 +52,7 @@ class Scene:
         self.drift: FloatArray = np.full(n, np.nan)
         self.age_ns = np.zeros(n, dtype=np.int64)
         self.silent_since_ns = np.full(n, NEVER)
-        self.excused = np.zeros(n, dtype=np.bool_)
+        self.roster = enlist(self.plan)
         self.frozen = np.zeros(n, dtype=np.bool_)
         self.going_on = False
         self.monitor.begin(self.fleet)
@@ -82,14 +83,18 @@ class Scene:
                 pose_ns=pose_ns,
                 drift_m=self.drift,
                 sent_ned_m_s=self.sent,
+                ours=self.roster.ours,
                 steered=~self.monitor.hold,
-                excused=self.excused,
+                lands_here=self.roster.lands_here,
+                excused=self.roster.told_to_land,
                 blind=self.monitor.blind,
                 airborne=self.fleet.armed.copy(),
                 going_on=self.going_on,
             )
         )
         self.alarms += findings.alarms
+        self.roster.release(findings.release)
+        self.roster.land_here(findings.land, self.pos, self.now_ns)
         return findings
 
     def run(self, seconds: float, each: Callable[[], None] | None = None) -> list[Findings]:
@@ -105,7 +110,7 @@ class Scene:
 
     def obstacle_m(self) -> FloatArray:
         pose_ns = self.now_ns - self.age_ns
-        return self.monitor.obstacles(self.poses, self.fleet, pose_ns, self.excused, self.now_ns).extra_radius_m
+        return self.monitor.obstacles(self.poses, self.fleet, pose_ns, self.roster, self.now_ns).extra_radius_m
 
     def status(self) -> None:
         """One more SYS_STATUS of everybody."""
@@ -343,8 +348,9 @@ def test_silence_and_missing_heartbeats_bring_everybody_back() -> None:
 
 def _sight(scene: Scene, pose_ns: np.ndarray) -> Sight:
     return Sight(
-        scene.fleet, scene.now_ns, scene.pos, scene.vel, pose_ns, scene.drift, scene.sent,
-        np.ones(8, dtype=np.bool_), scene.excused, scene.monitor.blind, scene.fleet.armed,
+        scene.fleet, scene.now_ns, scene.pos, scene.vel, pose_ns, scene.drift, scene.sent, scene.roster.ours,
+        np.ones(8, dtype=np.bool_), scene.roster.lands_here, scene.roster.told_to_land, scene.monitor.blind,
+        scene.fleet.armed,
     )  # fmt: skip
 
 
@@ -371,7 +377,7 @@ def test_a_vehicle_that_leaves_is_released_after_two_heartbeats_and_said_nothing
 
 def test_who_was_never_ours_is_an_obstacle_and_no_more() -> None:
     scene = Scene()
-    scene.monitor.leave(np.arange(8) == 6)
+    scene.roster.release([6])
     scene.fleet.custom_mode[6], scene.fleet.battery_remaining[6] = LOITER, 0.01
     scene.pos[6, 0] = 9.0
     assert scene.run(4.0, scene.status) == []
@@ -380,7 +386,8 @@ def test_who_was_never_ours_is_an_obstacle_and_no_more() -> None:
 
 def test_who_lands_at_our_word_may_leave_the_mode_and_is_no_obstacle() -> None:
     scene = Scene()
-    scene.excused[3] = True
+    scene.roster.land([3], scene.now_ns)
+    scene.roster.tell_to_land(3, scene.now_ns)
     scene.fleet.custom_mode[3], scene.fleet.landed_state[3] = LAND, LANDED_LANDING
     assert scene.run(4.0) == []
     assert not scene.obstacle_m().any()

@@ -17,6 +17,7 @@ from groundstation.mission.flight.landing import Landing
 from groundstation.mission.phases.arming import Arming
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import enlist
 from sitl.world import Outgoing
 from tests.app.flights import SECOND_NS, Flight, pair
 
@@ -47,7 +48,7 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
     plan: MissionPlan, *, told: bool
 ) -> None:
     fleet, commands = _armed(plan)
-    landing = Landing(plan, fleet, commands, Guide(plan).beside_m)
+    landing = Landing(plan, fleet, commands, enlist(plan), Guide(plan).beside_m)
     landing.want([0], 0)
     still, nobody = np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros(2, dtype=np.bool_)
     poses = Poses(frames.ned_from_enu(plan.pads_enu_m), np.zeros((2, 3)), still, nobody)
@@ -55,7 +56,7 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
     for k in range(100):
         if told:
             fleet.landed_ns[:] = round(0.1 * k * SECOND_NS)
-        landing.step(round(0.1 * k * SECOND_NS), poses, nobody)
+        landing.step(round(0.1 * k * SECOND_NS), poses)
         sent += _names(commands, 0.1 * k)
     assert set(sent) == ({"disarm"} if told else {"LAND mode"})
 
@@ -63,7 +64,7 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
 def test_a_broken_off_arming_disarms_those_alone_that_tell_that_they_stand(plan: MissionPlan) -> None:
     fleet, commands = _armed(plan)
     fleet.landed_ns[1] = round(OLD_S * SECOND_NS)
-    Landing(plan, fleet, commands, Guide(plan).beside_m).disarm_on_the_ground(round(OLD_S * SECOND_NS))
+    Landing(plan, fleet, commands, enlist(plan), Guide(plan).beside_m).disarm_on_the_ground(round(OLD_S * SECOND_NS))
     assert [commands.pending(0), commands.pending(1)] == [False, True]
 
 
@@ -88,7 +89,7 @@ def test_who_waits_armed_for_another_one_is_disarmed_only_where_it_tells_that_it
 def test_nobody_is_asked_to_take_off_who_has_not_told_lately_that_it_stands(plan: MissionPlan) -> None:
     fleet, commands = _armed(plan)
     fleet.landed_ns[1] = round(OLD_S * SECOND_NS)
-    climb = Climb(plan, Guide(plan).beside_m)
+    climb = Climb(plan, enlist(plan), Guide(plan).beside_m)
     climb.step(round(OLD_S * SECOND_NS), fleet, commands, np.zeros(2), np.full(2, 3.0))
     assert [commands.pending(0), commands.pending(1)] == [False, True]
 
@@ -99,7 +100,7 @@ def test_what_was_asked_before_the_landing_is_not_repeated(plan: MissionPlan) ->
     assert takeoff is not None
     commands.request(0, takeoff)
     assert _names(commands, 0.0) == ["takeoff"]
-    Landing(plan, fleet, commands, Guide(plan).beside_m).want([0], 0)
+    Landing(plan, fleet, commands, enlist(plan), Guide(plan).beside_m).want([0], 0)
     assert _names(commands, 5.0) == []
 
 

@@ -27,6 +27,7 @@ class Scene:
     def __init__(self) -> None:
         self.runner = Runner(load_mission(CUBE8), 0, take_over=True)
         self.fleet, self.take_over = self.runner.fleet, self.runner._take_over
+        self.roster = self.runner._roster
         self.now_ns = 0
         fleet = self.fleet
         fleet.armed[:] = True
@@ -37,11 +38,10 @@ class Scene:
         fleet.pos_local_ned_m[:] = [0.0, 0.0, -1.0]
         fleet.vel_ned_m_s[:] = 0.0
         fleet.home_local_ned_m[:] = 0.0
-        self.state = TakeOverState()
+        self.state = TakeOverState(np.zeros(8, dtype=np.bool_))
 
     def run(self, each: Callable[[], None] | None = None, seconds: float = 30.0) -> TakeOverState:
         """Goes on until everybody is held or left alone."""
-        released = np.zeros(8, dtype=np.bool_)
         for _ in range(round(seconds / 0.1)):
             self.now_ns += SECOND_NS // 10
             fleet = self.fleet
@@ -49,11 +49,11 @@ class Scene:
                 times[:] = self.now_ns
             if each is not None:
                 each()
-            self.state = self.take_over.step(self.now_ns, released)
+            self.state = self.take_over.step(self.now_ns)
             if self.state.done:
                 break
             # Who is asked comes into the mode a second after it was taken.
-            fleet.custom_mode[self.take_over.taken] = OFFBOARD
+            fleet.custom_mode[self.roster.steered] = OFFBOARD
         return self.state
 
 
@@ -61,7 +61,7 @@ def test_all_that_hover_are_held_and_brought_home() -> None:
     scene = Scene()
     state = scene.run()
     assert (state.done, state.problems) == (True, [])
-    assert scene.take_over.home.all()
+    assert state.home.all()
 
 
 SPOILT: dict[str, tuple[Callable[[Scene], None], str]] = {
@@ -88,7 +88,7 @@ def test_one_that_cannot_be_brought_home_is_named_and_the_others_are(how: str) -
     assert scene.now_ns >= 20 * SECOND_NS  # it was waited for
     (problem,) = state.problems
     assert problem.startswith(f"vehicle 3: {words}")
-    assert scene.take_over.home.tolist() == [True, True, False, True, True, True, True, True]
+    assert state.home.tolist() == [True, True, False, True, True, True, True, True]
 
 
 def test_two_under_one_id_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +110,7 @@ def test_one_that_does_not_tell_where_it_took_off_is_taken_on_trust() -> None:
 
     state = scene.run(forget)
     assert (state.done, state.problems) == (True, [])
-    assert scene.take_over.home.all()
+    assert state.home.all()
     assert [text for text in [*said, *state.notes] if "taken on trust" in text] == [
         "vehicle 3: does not tell where it took off; that its frame begins where the mission says is taken on trust"
     ]

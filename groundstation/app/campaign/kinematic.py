@@ -18,6 +18,7 @@ from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.phases.phase import Figures, Phase
 from groundstation.mission.plan.plan import MissionPlan, plan_from_record
+from groundstation.mission.roster import enlist
 
 _SECOND_NS = 1_000_000_000
 _NAME = "kinematic"
@@ -56,7 +57,7 @@ def kinematic_time_to_form_s(case: Case) -> float:
     """
     plan = kinematic_plan(case)
     figures = Figures()
-    flight = FormationFlight(plan, Guide(plan), figures, lambda kind, text, roles: None)
+    flight = FormationFlight(plan, enlist(plan), Guide(plan), figures, lambda kind, text, roles: None)
     flight.assign(first_roles(plan))
     pos_ned_m: FloatArray = flight.gather_ned_m.copy()
     vel_ned_m_s: FloatArray = np.zeros_like(pos_ned_m)

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, NEVER, Fleet
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Roster, by_command
 
 _ASK_AGAIN_NS = 2_000_000_000
 _THERE = 0.85  # of the height: from here on setpoints do the rest
@@ -27,18 +28,16 @@ class Climb:
 
     Args:
         plan: autopilots, pads.
+        roster: who climbs by command.
         beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
-
-    Attributes:
-        under_way: has to climb by command and has not arrived, shape (n,).
     """
 
-    def __init__(self, plan: MissionPlan, beside_m: float) -> None:
+    def __init__(self, plan: MissionPlan, roster: Roster, beside_m: float) -> None:
         self._plan = plan
+        self._roster = roster
         self._landed_age_s = landed_age_s(plan)
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
-        self._by_command: BoolArray = np.array([autopilot.takeoff(1.0) is not None for autopilot in plan.autopilots])
-        self.under_way: BoolArray = self._by_command.copy()
+        self._by_command = by_command(plan)
         self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
@@ -57,13 +56,13 @@ class Climb:
         high = height_m >= _THERE * target_m
         stands = fleet.stands(now_ns, self._landed_age_s)
         ahead = high | (self._by_command & (fleet.landed_state != LANDED_ON_GROUND))
-        for vehicle in np.flatnonzero(self.under_way).tolist():
+        for vehicle in np.flatnonzero(self._roster.climbing).tolist():
             if high[vehicle]:
                 if self._high_since_ns[vehicle] == NEVER:
                     self._high_since_ns[vehicle] = now_ns
                 climbing = fleet.landed_state[vehicle] in (LANDED_TAKEOFF, LANDED_ON_GROUND)
                 if not climbing or now_ns - self._high_since_ns[vehicle] >= _STAYS_NS:
-                    self.under_way[vehicle] = False
+                    self._roster.end_climb(np.arange(self._plan.size) == vehicle)
             elif (
                 stands[vehicle]
                 and not commands.pending(vehicle)

@@ -6,7 +6,7 @@ steering itself is ``guidance``; nothing here moves a vehicle past avoidance and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,7 @@ from groundstation.mission.phases.phase import Figures, Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import FormStep, HoldStep, Step
 from groundstation.mission.plan.stages import Stage, roles_for
+from groundstation.mission.roster import Roster
 
 _SECOND_NS = 1_000_000_000
 _STEADY_NS = _SECOND_NS  # how long the formation has to stand before the team believes it
@@ -57,6 +58,7 @@ class FormationFlight:
 
     Args:
         plan: formations, gains, steps.
+        roster: who flies with the team.
         guide: makes setpoints.
         figures: where times, errors and gridlocks are entered.
         note: takes what is worth the log: kind, text, roles.
@@ -64,15 +66,19 @@ class FormationFlight:
     Attributes:
         role_of_agent: role per vehicle, shape (n,).
         gather_ned_m: place in the air above each pad, shape (n, 3).
-        gone: vehicles that no longer fly the formation, shape (n,).
     """
 
     def __init__(
-        self, plan: MissionPlan, guide: Guide, figures: Figures, note: Callable[[str, str, tuple[int, ...]], None]
+        self,
+        plan: MissionPlan,
+        roster: Roster,
+        guide: Guide,
+        figures: Figures,
+        note: Callable[[str, str, tuple[int, ...]], None],
     ) -> None:
         n = plan.size
         self.role_of_agent: IntArray = np.arange(n)
-        self.gone: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._roster = roster
         self.gather_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._plan = plan
         self._guide = guide
@@ -116,7 +122,8 @@ class FormationFlight:
 
     def error_m(self, pos_m: FloatArray) -> float:
         """Largest |d_ij - d*_ij| over all pairs, of positions in any one frame, shape (n, 3); size free where it is."""
-        here, roles = pos_m[~self.gone], self.role_of_agent[~self.gone]
+        members = self._roster.in_formation
+        here, roles = pos_m[members], self.role_of_agent[members]
         if self.stage.scale.kind == "free":
             return free_scale_error_m(here, self.stage.formation.points_enu_m, roles)
         return formation_error_m(here, self.formation.distances_m, roles)
@@ -156,8 +163,8 @@ class FormationFlight:
             return Phase.FORM
         return Phase.MOVE if step.move is not None else Phase.HOLD
 
-    def leave(self, vehicles: Sequence[int], now_ns: int) -> str:
-        """Goes on without some vehicles: their roles stay open, or others move up; back to the last ``form`` step.
+    def close_up(self, now_ns: int) -> str:
+        """Goes on without those who have dropped out, from the last ``form`` step on.
 
         Roles count in the order of the formation file, the first the most: with ``continue_take_over`` the vehicle in
         the last role that is taken moves up into one that has become free before it.
@@ -165,18 +172,18 @@ class FormationFlight:
         Returns:
             Why the team cannot go on without them, empty when it can.
         """
-        self.gone[list(vehicles)] = True
         if len(self._plan.stages) > 1 or self._plan.moves:
             return "a mission of several formations, or with moves, is not flown on without one of its vehicles"
-        n, left = self._plan.size, int((~self.gone).sum())
+        gone = ~self._roster.in_formation
+        n, left = self._plan.size, int((~gone).sum())
         if left < 2 or 2 * left <= n:
             return f"{left} of {n} vehicles are left in the formation, which needs more than half and two at least"
         roles = self.role_of_agent.copy()
         if self._plan.spec.on_lost == "continue_take_over":
-            for free in sorted(roles[self.gone].tolist()):
-                last = max(np.flatnonzero(~self.gone).tolist(), key=lambda agent: int(roles[agent]))
+            for free in sorted(roles[gone].tolist()):
+                last = max(np.flatnonzero(~gone).tolist(), key=lambda agent: int(roles[agent]))
                 holder = int(np.flatnonzero(roles == free)[0])
-                if self.gone[holder] and roles[last] > free:
+                if gone[holder] and roles[last] > free:
                     roles[holder], roles[last] = roles[last], free
                     self._figures.role_swaps += 1
         try:
@@ -197,9 +204,9 @@ class FormationFlight:
 
     def _fly_as(self, roles: IntArray) -> None:
         """Takes up roles, with the gains of those that are left where somebody is gone."""
-        plan, stage = self._plan, self.stage
-        if self.gone.any():
-            task, smaller, gains = task_for_those_left(stage.formation, stage.shape.gains, roles, self.gone)
+        plan, stage, missing = self._plan, self.stage, ~self._roster.in_formation
+        if missing.any():
+            task, smaller, gains = task_for_those_left(stage.formation, stage.shape.gains, roles, missing)
             # Neighbours of a missing one have become neighbours of each other: the loop may be faster than before.
             rate_1_s = rate_for_auto_gain_1_s(smaller, gains, stage.scale, stage.upright_1_s)
             self._able_gain = auto_control_gain(rate_1_s, plan.profile.lag_s, plan.profile.delay_s, plan.lead_s)
@@ -207,7 +214,7 @@ class FormationFlight:
             task = task_for_roles(stage.formation, stage.shape.gains, roles)
             self._able_gain = np.inf
         self.role_of_agent, self._task = roles, task
-        numbers = " ".join("-" if gone else str(role + 1) for role, gone in zip(roles, self.gone, strict=True))
+        numbers = " ".join("-" if gone else str(role + 1) for role, gone in zip(roles, missing, strict=True))
         self._note("roles", f"roles {numbers}", tuple(int(role) for role in roles))
 
     def stood_still(self, held_ns: int) -> None:
@@ -230,12 +237,12 @@ class FormationFlight:
         """
         absent = np.zeros(self._plan.size, dtype=np.bool_) if absent is None else absent
         absent = absent | ~np.isfinite(poses.pos_team_ned_m).all(axis=1)
-        step, stage = self._step(), self.stage
+        step, stage, members = self._step(), self.stage, self._roster.in_formation
         error_m = self.error_m(poses.pos_team_ned_m)
         enter, give_up = None, ""
         if step.form is not None:
             heights = stage.formation.points_enu_m[:, 2]
-            here, roles = poses.pos_team_ned_m[~self.gone], self.role_of_agent[~self.gone]
+            here, roles = poses.pos_team_ned_m[members], self.role_of_agent[members]
             upright = vertical_orientation(-here[:, 2], heights, roles) >= 0.0
             enter, give_up = self._forming(step.form, error_m if upright else np.inf, now_ns, poses)
         elif step.hold is not None:
@@ -250,7 +257,7 @@ class FormationFlight:
         course = Course(
             stage=self.stage,
             control_gain=self._control_gain(),
-            members=~self.gone,
+            members=members,
             points_by_agent_m=self.formation.points_enu_m[self.role_of_agent],
             detour_enu_m_s=self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s)) if forming else None,
             motion=motion,
@@ -259,7 +266,7 @@ class FormationFlight:
         guidance = self._guide.formation(poses, self._sized_task(self._task), course)
         self._room = guidance.room
         if forming:
-            self._get_out(guidance.sensed, absent | self.gone, course)
+            self._get_out(guidance.sensed, absent | ~members, course)
         return FormationTick(guidance.vel_ned_m_s, enter, give_up)
 
     def fly_home(self, poses: Poses, absent: BoolArray, target_ned_m: FloatArray) -> FloatArray:
@@ -310,7 +317,7 @@ class FormationFlight:
             return
         if isinstance(way, Course):
             free = way.stage.scale.kind == "free"
-            seen = sensed.visible & ~self.gone[None]
+            seen = sensed.visible & self._roster.in_formation[None]
             places = own_places(sensed.rel_m, seen, way.points_by_agent_m, free_scale=free)
             to_goal_enu_m, patience_s, rarer = places.to_own_m, locks.params.detour_s, True
             pairs = locks.swaps(sensed, places, ~absent) if way.stage.swaps else []
@@ -346,7 +353,7 @@ class FormationFlight:
             self._note("info", f"formation of step {number + 1}: {self.stage.formation.name}, scale {scale}", ())
 
     def _sizes(self, poses: Poses) -> Sizes:
-        return sizes_of(poses.pos_team_ned_m[~self.gone], self.stage)
+        return sizes_of(poses.pos_team_ned_m[self._roster.in_formation], self.stage)
 
     def _note_size(self, poses: Poses) -> None:
         """Tells the log how large a formation came out whose size is left to chance."""

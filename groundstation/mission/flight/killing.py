@@ -14,6 +14,7 @@ from groundstation.core.types import BoolArray, IntArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Roster
 
 _SECOND_NS = 1_000_000_000
 _ASK_AGAIN_NS = _SECOND_NS // 2
@@ -22,25 +23,18 @@ _FALLS_NS = 5 * _SECOND_NS  # so long after its motors have stopped a vehicle ma
 
 
 class Killing:
-    """Vehicles whose motors are to stop.
+    """Vehicles whose motors are to stop: they get no setpoints and no other commands from then on."""
 
-    Attributes:
-        asked: shape (n,); they get no setpoints and no other commands from then on.
-    """
-
-    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
-        n = plan.size
-        self._plan, self._fleet, self._commands = plan, fleet, commands
-        self._asked_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
-        self._sent_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
-        self.asked: BoolArray = np.zeros(n, dtype=np.bool_)
+    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster) -> None:
+        self._plan, self._fleet, self._commands, self._roster = plan, fleet, commands, roster
+        self._sent_ns: IntArray = np.full(plan.size, NEVER, dtype=np.int64)
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
         """Puts the command before everything else that waits for a vehicle."""
+        vehicles = list(vehicles)
+        self._roster.kill(vehicles, now_ns)
         for vehicle in vehicles:
             self._commands.clear(vehicle)
-            self.asked[vehicle] = True
-            self._asked_ns[vehicle] = now_ns
             self._sent_ns[vehicle] = NEVER
 
     def step(self, now_ns: int) -> None:
@@ -51,9 +45,9 @@ class Killing:
 
     def not_shown(self) -> BoolArray:
         """Vehicles that shall be dead and have not shown it yet, shape (n,)."""
-        shown: BoolArray = ~self._fleet.armed & (self._fleet.heartbeat_ns > self._asked_ns + _NEWER_NS)
-        return self.asked & ~shown
+        shown: BoolArray = ~self._fleet.armed & (self._fleet.heartbeat_ns > self._roster.killed_ns + _NEWER_NS)
+        return self._roster.killed & ~shown
 
     def falling(self, now_ns: int) -> BoolArray:
         """Vehicles that may be on their way down, shape (n,)."""
-        return self.asked & (self.not_shown() | (now_ns - self._asked_ns < _FALLS_NS))
+        return self._roster.killed & (self.not_shown() | (now_ns - self._roster.killed_ns < _FALLS_NS))

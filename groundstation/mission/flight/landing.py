@@ -23,6 +23,7 @@ from groundstation.mission.flight.guidance import Poses
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Roster
 
 _SECOND_NS = 1_000_000_000
 _ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
@@ -39,32 +40,24 @@ class Landing:
         plan: autopilots, limits, pads.
         fleet: their state.
         commands: what is asked goes out by it.
+        roster: who lands.
         beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
-
-    Attributes:
-        here: vehicles that shall land where they are, one by one, while others still fly, shape (n,): nobody may
-            stay under them.
     """
 
-    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, beside_m: float) -> None:
+    def __init__(
+        self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster, beside_m: float
+    ) -> None:
         n = plan.size
-        self.here: BoolArray = np.zeros(n, dtype=np.bool_)
         self._plan = plan
+        self._roster = roster
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._fleet = fleet
         self._commands = commands
         self._landed_age_s = landed_age_s(plan)
-        self._wanted_ns = np.full(n, NEVER, dtype=np.int64)
         self._asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self._first_asked_ns = np.full(n, NEVER, dtype=np.int64)
         self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
         self._said_yes: set[tuple[int, str]] = set()
-
-    @property
-    def asked(self) -> BoolArray:
-        """Vehicles that were told to land, shape (n,)."""
-        return np.asarray(self._first_asked_ns != NEVER)
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""
@@ -76,31 +69,33 @@ class Landing:
 
         What was asked of them before and is not answered yet is forgotten: a takeoff asked again now would be obeyed.
         """
-        for vehicle in vehicles:
-            if self._wanted_ns[vehicle] == NEVER:
-                self._commands.clear(vehicle)
-                self._wanted_ns[vehicle] = now_ns
+        for vehicle in self._roster.land(vehicles, now_ns):
+            self._commands.clear(vehicle)
 
-    def want_here(self, vehicles: Iterable[int], now_ns: int) -> None:
-        """The same of vehicles that come down while the others fly on: those below are to get out of the way."""
-        vehicles = list(vehicles)
-        self.here[vehicles] = True
-        self.want(vehicles, now_ns)
+    def want_here(self, vehicles: Iterable[int], places_ned_m: FloatArray, now_ns: int) -> None:
+        """The same of vehicles that come down while the others fly on: those below are to get out of the way.
 
-    def step(self, now_ns: int, poses: Poses, released: BoolArray) -> None:
+        Args:
+            vehicles: which.
+            places_ned_m: where each stays until it is told to land, of everybody, shape (n, 3).
+            now_ns: time of the tick.
+        """
+        for vehicle in self._roster.land_here(vehicles, places_ned_m, now_ns):
+            self._commands.clear(vehicle)
+
+    def step(self, now_ns: int, poses: Poses) -> None:
         """Asks those to land who shall, and those to disarm who have stood on the ground for long.
 
         Args:
             now_ns: time of the tick.
             poses: where everybody is.
-            released: vehicles that are no longer ours, shape (n,).
         """
-        fleet = self._fleet
+        fleet, roster = self._fleet, self._roster
         on_ground = fleet.stands(now_ns, self._landed_age_s)
         self._on_ground_since_ns = np.where(
             on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
         )
-        for vehicle in np.flatnonzero((self._wanted_ns != NEVER) & fleet.armed & ~released).tolist():
+        for vehicle in np.flatnonzero(roster.lands & fleet.armed).tolist():
             if self._commands.pending(vehicle) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
                 continue
             autopilot = self._plan.autopilots[vehicle]
@@ -111,11 +106,10 @@ class Landing:
             elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
                 below = self._below(vehicle, poses)
                 # Whoever waits for one that waits itself has its time from when that one is asked.
-                since_ns = max(int(self._wanted_ns[vehicle]), *self._first_asked_ns[below].tolist(), NEVER)
+                since_ns = max(int(roster.lands_since_ns[vehicle]), *roster.told_ns[below].tolist(), NEVER)
                 if not below.any() or now_ns - since_ns >= _BLOCKED_MAX_NS:
                     self._commands.request(vehicle, autopilot.land())
-                    if self._first_asked_ns[vehicle] == NEVER:
-                        self._first_asked_ns[vehicle] = now_ns
+                    roster.tell_to_land(vehicle, now_ns)
                     self._asked_ns[vehicle] = now_ns
 
     def disarm_on_the_ground(self, now_ns: int) -> None:
@@ -143,16 +137,15 @@ class Landing:
         stood = (self._on_ground_since_ns != NEVER) & (now_ns - self._on_ground_since_ns >= 2 * _STILL_ARMED_NS)
         return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~self.lost(now_ns))
 
-    def still_up(self, since_ns: int, now_ns: int, released: BoolArray) -> BoolArray:
-        """Vehicles that may still be armed, shape (n,).
+    def still_up(self, since_ns: int, now_ns: int) -> BoolArray:
+        """Vehicles that may still be armed, shape (n,); those that are released, lost or ``unsure`` are not waited for.
 
         Args:
             since_ns: a heartbeat has to be newer than this to be believed.
             now_ns: time of the tick.
-            released: vehicles that are not waited for, shape (n,); those that are lost or ``unsure`` are not either.
         """
         perhaps: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
-        return perhaps & ~released & ~self.lost(now_ns) & ~self.unsure(now_ns)
+        return perhaps & self._roster.ours & ~self.lost(now_ns) & ~self.unsure(now_ns)
 
     def words_of_late(self, vehicle: int, height_m: float, waited_s: float) -> str:
         """Says of one that is still armed when nobody waits any longer where it is, what it does, and what is left.

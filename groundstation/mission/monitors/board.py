@@ -19,6 +19,7 @@ from groundstation.mission.monitors.flight import BeyondFence, Distance, Followi
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Roster
 
 __all__ = ["Findings", "Monitor", "Sight"]
 
@@ -52,8 +53,6 @@ class Monitor:
             BeyondFence(plan), self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._gone: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._lands: BoolArray = np.zeros(n, dtype=np.bool_)  # where it is, by a finding
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
 
     @property
@@ -70,10 +69,6 @@ class Monitor:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""
         self._frames.begin(fleet.origin_moved_ns, fleet.restarts)
 
-    def leave(self, vehicles: BoolArray) -> None:
-        """Takes those out of sight that are not ours: no finding concerns them, obstacles they are, shape (n,)."""
-        self._gone |= vehicles
-
     def trusted(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
         """Puts trusted positions in place of those that have jumped; once per tick, before ``look``."""
         return self._jumps.take(poses, pose_ns, now_ns)
@@ -89,15 +84,18 @@ class Monitor:
         """
         findings = Findings()
         found: list[tuple[Finding, Reaction]] = []
+        ours, lands = sight.ours.copy(), sight.lands_here.copy()
         for watch in self._watches:
-            found += [(finding, self._take(finding, findings, sight)) for finding in watch.look(sight, ~self._gone)]
+            found += [(finding, self._take(finding, findings, sight)) for finding in watch.look(sight, ours)]
+            ours[findings.release] = False  # whoever is released in this tick is judged no more by the next monitor
+        lands[findings.land] = True
         # Words come last: whether others are left to come back is known when everything is found.
-        others = bool((~(self._gone | self._lands | self.blind | sight.excused)).any())
+        others = bool((ours & ~(lands | self.blind | sight.excused)).any())
         for finding, reaction in found:
             self._tell(finding, reaction, findings, sight, others=others)
         return findings
 
-    def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, landing: BoolArray, now_ns: int) -> Poses:
+    def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, roster: Roster, now_ns: int) -> Poses:
         """Marks whoever is not steered by us: as one that may come down, and as larger than it is.
 
         The radius grows with the time since a vehicle was last seen, as fast as the team may fly, up to a bound.
@@ -106,11 +104,11 @@ class Monitor:
             poses: of this tick.
             fleet: what the vehicles report.
             pose_ns: when each pose was measured, shape (n,).
-            landing: vehicles that land at our word, shape (n,); that they left the streaming mode is no wonder.
+            roster: whose word they follow; that those who land at ours left the streaming mode is no wonder.
             now_ns: time of the tick.
         """
-        up = fleet.armed
-        unsteered = self.blind | self._gone | (self.foreign & ~landing)
+        up, landing = fleet.armed, roster.told_to_land
+        unsteered = self.blind | ~roster.ours | (self.foreign & ~landing)
         spec = self._plan.spec
         seen_ns = np.where(self.blind, np.minimum(pose_ns, self._lost_ns), pose_ns)
         growing_m = bounded_growth_m(
@@ -126,17 +124,15 @@ class Monitor:
     def _take(self, finding: Finding, findings: Findings, sight: Sight) -> Reaction:
         """Puts whom a finding concerns into lists; returns what is done about it."""
         rows, reaction = list(finding.vehicles), finding.reaction
-        known = all(self.blind[row] or self._gone[row] for row in rows) and bool(rows)
+        known = all(self.blind[row] or not sight.ours[row] for row in rows) and bool(rows)
         if finding.lost:
             self._lost_ns[rows] = np.where(self.blind[rows], self._lost_ns[rows], sight.now_ns)
             self.blind[rows] = True
         if known and (finding.lost or reaction is Reaction.HOME):
             reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
         if reaction is Reaction.LAND:
-            self._lands[rows] = True
             findings.land += rows
         elif reaction is Reaction.RELEASE:
-            self._gone[rows] = True
             findings.release += rows
         elif reaction is Reaction.HOME:
             findings.home += rows

@@ -65,8 +65,10 @@ class Sight:
         pose_ns: when position or attitude was measured, whichever is older, shape (n,).
         drift_m: how far local and global positions disagree, by two samples in a row, shape (n,), NaN where not known.
         sent_ned_m_s: the velocities that were sent last, shape (n, 3).
+        ours: neither released nor killed, shape (n,): nobody else is judged.
         steered: gets setpoints that it should follow, shape (n,).
-        excused: told to land or to stop its motors, shape (n,): it may leave the streaming mode and disarm.
+        lands_here: lands where it is while others fly, shape (n,).
+        excused: told to land, shape (n,): it may leave the streaming mode and disarm.
         blind: position lost for good, shape (n,): nothing is judged by where it says it is.
         airborne: shape (n,).
         going_on: the mission goes on without a vehicle that is lost.
@@ -79,7 +81,9 @@ class Sight:
     pose_ns: IntArray
     drift_m: FloatArray
     sent_ned_m_s: FloatArray
+    ours: BoolArray
     steered: BoolArray
+    lands_here: BoolArray
     excused: BoolArray
     blind: BoolArray
     airborne: BoolArray
@@ -90,7 +94,7 @@ class Watch(Protocol):
     """A monitor."""
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterable[Finding]:
-        """Looks once per tick; ``ours`` are those that have not been released, shape (n,)."""
+        """Looks once per tick; ``ours`` are those neither released nor killed, shape (n,)."""
 
 
 @dataclass

@@ -27,6 +27,7 @@ from groundstation.mission.flight.guidance import Poses
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Roster
 
 _SECOND_NS = 1_000_000_000
 LISTEN_NS = 5 * _SECOND_NS
@@ -52,8 +53,11 @@ class TakeOverState:
         waiting: what is still missing, a line for each vehicle.
         notes: worth knowing, said once.
         problems: why a vehicle is not brought home, a line for each; complete when ``done``.
+        home: is brought home; meaningful when done, shape (n,).
         done: everybody that can be held is held.
     """
+
+    home: BoolArray
 
     waiting: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -69,20 +73,25 @@ class TakeOver:
         station: what is asked goes out by it.
         frame: settled when everybody stands.
         preflight: knows which streams a vehicle is asked for.
+        roster: whom it holds.
         start_ns: time at which it begins.
 
     Attributes:
-        taken: gets setpoints to stand still, shape (n,).
-        home: is brought home; meaningful when done, shape (n,).
         yaw_ned_rad: heading that is held, shape (n,).
     """
 
     def __init__(
-        self, plan: MissionPlan, station: Station, frame: TeamFrame, preflight: Preflight, start_ns: int
+        self,
+        plan: MissionPlan,
+        station: Station,
+        frame: TeamFrame,
+        preflight: Preflight,
+        *,
+        roster: Roster,
+        start_ns: int,
     ) -> None:
         n = plan.size
-        self.taken: BoolArray = np.zeros(n, dtype=np.bool_)
-        self.home: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._roster = roster
         self.yaw_ned_rad: FloatArray = np.zeros(n)
         self._plan, self._station, self._frame, self._preflight = plan, station, frame, preflight
         self._start_ns = start_ns
@@ -95,24 +104,18 @@ class TakeOver:
         self._came_down: BoolArray = np.zeros(n, dtype=np.bool_)
         self._fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
 
-    def step(self, now_ns: int, released: BoolArray) -> TakeOverState:
-        """Asks for what is missing, and takes whom it can.
-
-        Args:
-            now_ns: time of this tick.
-            released: no longer ours, killed by the operator: gets no command and no setpoint, shape (n,).
-        """
-        state = TakeOverState()
+    def step(self, now_ns: int) -> TakeOverState:
+        """Asks for what is missing, and takes whom it can; whoever was killed by the operator is left alone."""
+        roster = self._roster
+        state = TakeOverState(home=np.zeros(self._plan.size, dtype=np.bool_))
         fleet = self._station.fleet
         self._frame.look_in_flight(fleet, now_ns)
         off_m = self._frame.home_off_pad_m(fleet)
         pose_ns = self._frame.pose_ns(fleet)
         late = now_ns - self._start_ns >= _PATIENCE_NS
-        self.home[:] = False
         for vehicle, spec in enumerate(self._plan.spec.vehicles):
             name = f"vehicle {spec.id}"
-            if released[vehicle]:
-                self.taken[vehicle] = False
+            if not roster.ours[vehicle]:
                 continue
             if fleet.heartbeat_ns[vehicle] == NEVER:
                 if now_ns - self._start_ns < _LISTEN_MAX_NS:
@@ -122,21 +125,21 @@ class TakeOver:
                 continue
             self._ask(vehicle, now_ns, int(pose_ns[vehicle]))
             if self._on_the_ground(vehicle):
-                self._came_down[vehicle] |= self.taken[vehicle]
-                self.taken[vehicle] = False
+                self._came_down[vehicle] |= roster.steered[vehicle]
+                roster.let_go(vehicle)
                 if self._came_down[vehicle]:
                     state.problems.append(f"{name}: has come down by its own failsafe before it could be brought home")
                 continue
             problem = self._not_ours(vehicle, now_ns)
             if problem is not None:
-                self.taken[vehicle] = False
+                roster.let_go(vehicle)
                 (state.problems if late else state.waiting).append(f"{name}: {problem}")
                 continue
             waiting = self._hold(vehicle, now_ns) or self._place(vehicle, now_ns, float(off_m[vehicle]), state)
             if waiting is None and now_ns - int(pose_ns[vehicle]) > self._plan.spec.limits.pose_age_s * _SECOND_NS:
                 waiting = "no position yet"
             if waiting is None:
-                self.home[vehicle] = True
+                state.home[vehicle] = True
             elif late:
                 state.problems.append(f"{name}: {waiting}; it is left to its own failsafe")
             else:
@@ -186,7 +189,7 @@ class TakeOver:
             return f"{twin}; neither is touched"
         if autopilot.is_flown_by_pilot(mode, int(fleet.system_status[vehicle])):
             return f"is flown by a pilot, in mode {autopilot.mode_name(mode)}; it is not fought over"
-        if not self.taken[vehicle] and autopilot.is_followed_closely(mode, int(fleet.system_status[vehicle])):
+        if not self._roster.steered[vehicle] and autopilot.is_followed_closely(mode, int(fleet.system_status[vehicle])):
             return (
                 f"follows setpoints that are not ours, in mode {autopilot.mode_name(mode)}; end the other ground"
                 " station first"
@@ -198,10 +201,11 @@ class TakeOver:
         fleet, autopilot, commands = self._station.fleet, self._plan.autopilots[vehicle], self._station.commands
         if fleet.landed_state[vehicle] == 0:
             return "has not told whether it is in the air"
-        if not self.taken[vehicle]:
+        if not self._roster.steered[vehicle]:
             if now_ns - fleet.attitude_ns[vehicle] > self._plan.spec.limits.pose_age_s * _SECOND_NS:
                 return "no attitude yet"
-            self.taken[vehicle], self._taken_ns[vehicle] = True, now_ns
+            self._roster.take(vehicle)
+            self._taken_ns[vehicle] = now_ns
             self._held_since_ns[vehicle] = NEVER
             self.yaw_ned_rad[vehicle] = frames.yaw_ned_from_quat(fleet.quat_ned_from_frd)[vehicle]
         mode = int(fleet.custom_mode[vehicle])
