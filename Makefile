@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # Some tests wait for real sockets and processes: one worker more than cores keeps the cores busy.
 PYTEST_WORKERS ?= 3
 
-.PHONY: install fly test fuzz clean
+.PHONY: install fly test docs fuzz clean
 
 install: $(STAMP)
 
@@ -37,6 +37,10 @@ test: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS)
+
+# Pages that are drawn from the program; a test fails when they are not up to date.
+docs: $(STAMP)
+	$(BIN)/python -c 'from groundstation.mission.phases.table import page; open("docs/phases.md", "w").write(page())'
 
 # Random bytes, and real input bent out of shape, through everything that reads bytes from outside; about half an hour.
 FUZZ_BYTES ?= 10000000

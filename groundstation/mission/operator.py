@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from groundstation.mission.phases.phase import Phase
-
 
 class Order(Enum):
     """What can be ordered."""
@@ -93,45 +91,3 @@ def parse_command(text: str, ids: Sequence[int]) -> OperatorCommand:
     vehicles = tuple(sorted(rows))
     text = f"{order.value} {' '.join(str(ids[row]) for row in vehicles)}"
     return OperatorCommand(order, vehicles, False, text)
-
-
-_NOTHING_HELD = "nothing is held"
-_OVER = "the mission is over"
-_SILENT = "setpoints have ended; `land` and `kill` are what is left"
-_FLYING: dict[Order, str] = {Order.RESUME: _NOTHING_HELD}
-REFUSED: dict[Phase, dict[Order, str]] = {
-    # On the ground hold, return and land do the same: nobody takes off, the mission ends with nobody armed.
-    Phase.CONNECT: _FLYING,
-    Phase.TAKEOVER: {
-        Order.HOLD: "everybody who is held stands still already",
-        Order.RESUME: _NOTHING_HELD,
-        Order.RETURN: "that comes next",
-        Order.LAND: "where they are is being found out; they are brought home next",
-    },
-    Phase.ARM: _FLYING,
-    Phase.TAKEOFF: _FLYING,
-    Phase.FORM: _FLYING,
-    Phase.HOLD: _FLYING,
-    Phase.MOVE: _FLYING,
-    Phase.STOP: _FLYING,
-    Phase.RETURN: _FLYING,
-    Phase.PAUSE: {Order.HOLD: "it is held already; `resume` goes on"},
-    Phase.LAND: {
-        Order.HOLD: "landing is the autopilots' own and cannot be held",
-        Order.RESUME: _NOTHING_HELD,
-        Order.LAND: "the team is landing already",
-    },
-    Phase.SILENT: {
-        Order.HOLD: _SILENT,
-        Order.RESUME: _SILENT,
-        Order.RETURN: _SILENT,
-        Order.SILENCE: "setpoints have ended already",
-    },
-    Phase.DONE: dict.fromkeys(Order, _OVER),
-}
-"""Why an order is refused in a phase; what is not listed is obeyed."""
-
-
-def refusal(phase: Phase, order: Order) -> str | None:
-    """Why an order is refused in a phase, None when it is obeyed."""
-    return REFUSED[phase].get(order)

@@ -18,6 +18,11 @@ class Words:
         self._refused: dict[int, str] = {}
         self._said: dict[int, deque[Text]] = {}
 
+    def forget(self) -> None:
+        """What was refused and said so far is no reason any more."""
+        self._refused.clear()
+        self._said.clear()
+
     def refused(self, outcome: Outcome) -> bool:
         """Takes how a command ended; returns whether it is a refusal that was not known yet."""
         if outcome.accepted or outcome.command.asks:

@@ -15,9 +15,8 @@ import pytest
 from groundstation.app.emulator import world_config
 from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
-from groundstation.mission.phases.phase import Note
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.runner import Phase, Runner
+from groundstation.mission.runner import Note, Phase, Runner
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, four, pair
 

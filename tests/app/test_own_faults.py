@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from groundstation.mission.phases.phase import Note
-from groundstation.mission.runner import Phase, Runner
+from groundstation.mission.runner import Note, Phase, Runner
 from tests.app.flights import Flight, after, pair
 
 PARTS = (
-    "_station.ingest", "_listen", "_frame.poses", "_landing.step", "_killing.step", "_station.transmit", "_measure",
+    "_team.station.ingest", "_listen", "_team.frame.poses", "_team.landing.step", "_team.killing.step",
+    "_team.station.transmit", "_lookout.measure",
 )  # fmt: skip
 TEXT = "fault in the ground station, FloatingPointError: made up"
 
@@ -68,7 +68,7 @@ def test_a_part_that_fails_once_in_the_air_brings_everybody_home(part: str) -> N
 
 @pytest.mark.parametrize("phase", [Phase.FORM, Phase.LAND])
 def test_where_poses_cannot_be_worked_out_any_more_the_autopilots_failsafe_takes_over(phase: Phase) -> None:
-    flight = _broken("_frame.poses", after(phase), np.inf, "hold", "land all")
+    flight = _broken("_team.frame.poses", after(phase), np.inf, "hold", "land all")
     assert flight.phase_seen[-2:] == [Phase.SILENT, Phase.DONE]
     assert "setpoints end, the autopilots' own failsafe takes over" in flight.runner.reason
     refused = [text for text in flight.texts("alarm") if text.endswith("cannot be worked out at the moment")]
@@ -76,7 +76,9 @@ def test_where_poses_cannot_be_worked_out_any_more_the_autopilots_failsafe_takes
     assert not flight.world.truth.armed.any()
 
 
-@pytest.mark.parametrize(("phase", "part"), [(Phase.CONNECT, "_connect"), (Phase.ARM, "_arm")])
+@pytest.mark.parametrize(
+    ("phase", "part"), [(Phase.CONNECT, "_machine.state.step"), (Phase.ARM, "_machine.state.step")]
+)
 def test_a_fault_before_takeoff_ends_the_mission_with_nobody_armed(phase: Phase, part: str) -> None:
     flight = _broken(part, after(phase))
     assert Phase.TAKEOFF not in flight.phase_seen
@@ -88,11 +90,11 @@ def test_a_setpoint_that_is_no_number_is_never_sent() -> None:
 
     def spoil(flight: Flight) -> bool:
         if flight.runner.phase is Phase.HOLD and not sent:
-            flight.runner._yaw_ned_rad = np.array([np.nan, 0.0])  # whatever may have made it so
+            flight.runner._team.stance.yaw_ned_rad = np.array([np.nan, 0.0])  # whatever may have made it so
             sent.append(flight.runner.setpoints_sent)
         elif len(sent) == 1:
             sent.append(flight.runner.setpoints_sent)
-            flight.runner._yaw_ned_rad = np.zeros(2)
+            flight.runner._team.stance.yaw_ned_rad = np.zeros(2)
         return False
 
     flight = Flight(pair(autopilots=("px4", "px4")), interrupt_when=spoil)

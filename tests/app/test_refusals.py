@@ -103,7 +103,7 @@ def test_one_whose_heartbeats_come_after_all_flies() -> None:
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody is waited for longer than 15 s while coming down."""
-    monkeypatch.setattr("groundstation.mission.runner._DOWN_MAX_NS", 15 * SECOND_NS)
+    monkeypatch.setattr("groundstation.mission.phases.come_down._DOWN_MAX_NS", 15 * SECOND_NS)
 
 
 @pytest.mark.usefixtures("soon")

@@ -21,7 +21,8 @@ from groundstation.app.loop import FlightClock, Interrupts, Waiting, fly_real, t
 from groundstation.app.progress import FlightDisplay, Screen
 from groundstation.app.session import Session
 from groundstation.mavlink.station import Outgoing
-from groundstation.mission.runner import Note, Phase, Runner
+from groundstation.mission.phases.table import Event
+from groundstation.mission.runner import Note, Runner
 from groundstation.records.tlog import TlogReader, TlogWriter
 from tests.app.flights import SECOND_NS, pair
 
@@ -310,7 +311,7 @@ def test_descriptors_that_change_hands_between_sources_do_not_end_the_waiting() 
 
 def test_no_distance_is_shown_before_there_is_one() -> None:
     session = Session(Runner(pair(), 0), None)
-    session.runner.phase = Phase.ARM
+    session.runner._machine.happen(Event.READY, 0)
     display = FlightDisplay(Console(file=io.StringIO()), pair())
     assert "distance" not in display._line(session, 0, "").plain
     session.runner.figures.min_distance_m = 1.234

@@ -196,7 +196,7 @@ def test_where_nobody_tells_its_home_the_missions_own_word_is_taken_and_people_a
 
 
 def test_who_is_killed_while_it_is_taken_over_is_asked_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("groundstation.mission.runner._DOWN_MAX_NS", 20 * SECOND_NS)
+    monkeypatch.setattr("groundstation.mission.phases.come_down._DOWN_MAX_NS", 20 * SECOND_NS)
     asked: list[int] = []
     said: list[int] = []
 

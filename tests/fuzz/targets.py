@@ -37,11 +37,12 @@ from groundstation.mavlink.gate import Gate, Refused, SignedLink
 from groundstation.mavlink.keys import new_key, read_key, read_times
 from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at
 from groundstation.mission.operator import parse_command
-from groundstation.mission.phases.phase import Note, Phase
+from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.overrides import override_value
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.runner import Runner
+from groundstation.mission.verdict import Note
 from groundstation.records.manifest import manifest_path, read_manifest
 from groundstation.records.notes import Noise, Received
 from groundstation.records.replay import load_flight

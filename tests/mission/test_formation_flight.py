@@ -10,9 +10,10 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.ground.failsafe import first_roles
-from groundstation.mission.phases.phase import Figures, Phase
+from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.roster import enlist
+from groundstation.mission.verdict import Figures
 
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 TICK_NS = 20_000_000

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.mission.operator import REFUSED, Order, parse_command, refusal
+from groundstation.mission.operator import Order, parse_command
 from groundstation.mission.phases.phase import Phase
+from groundstation.mission.phases.table import REFUSED, refusal
 
 IDS = [3, 5, 12]
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundstation.app.resources import packaged_configs
 from groundstation.mavlink.vehicle import LANDED_IN_AIR
 from groundstation.mission.phases.take_over import TakeOverState
+from groundstation.mission.phases.taking_over import TakeOverPhase
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.runner import Runner
 
@@ -26,8 +27,10 @@ class Scene:
 
     def __init__(self) -> None:
         self.runner = Runner(load_mission(CUBE8), 0, take_over=True)
-        self.fleet, self.take_over = self.runner.fleet, self.runner._take_over
-        self.roster = self.runner._roster
+        state = self.runner._machine.state
+        assert isinstance(state, TakeOverPhase)
+        self.fleet, self.take_over = self.runner.fleet, state.take_over
+        self.roster = self.runner._team.roster
         self.now_ns = 0
         fleet = self.fleet
         fleet.armed[:] = True

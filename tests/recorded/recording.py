@@ -201,6 +201,7 @@ def listen(recording: Recording) -> Belief:
     frame, monitor = TeamFrame(plan), Monitor(plan)
     preflight = Preflight(plan, station, frame, look_only=True)
     never = np.full(n, -1, dtype=np.int64)
+    ours, nobody = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     sent = _Sent(
         np.zeros((n, 3)), np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_), never.copy(),
         {sysid: row for row, sysid in enumerate(ids)},
@@ -238,10 +239,12 @@ def listen(recording: Recording) -> Belief:
                 sight = Sight(
                     fleet=fleet, now_ns=now_ns, pos_team_ned_m=poses.pos_team_ned_m, vel_ned_m_s=poses.vel_ned_m_s,
                     pose_ns=pose_ns, drift_m=frame.drift_m(fleet, now_ns), sent_ned_m_s=sent.vel_ned_m_s,
-                    steered=~(sent.climbing | monitor.hold), excused=sent.landing, blind=monitor.blind,
-                    airborne=airborne,
+                    ours=ours.copy(), steered=~(sent.climbing | monitor.hold), lands_here=nobody, excused=sent.landing,
+                    blind=monitor.blind, airborne=airborne,
                 )  # fmt: skip
-                belief.alarms += [(now_ns, alarm) for alarm in monitor.look(sight).alarms]
+                findings = monitor.look(sight)
+                ours[findings.release] = False
+                belief.alarms += [(now_ns, alarm) for alarm in findings.alarms]
             north, east, down = poses.pos_team_ned_m.T
             rows.append(
                 (

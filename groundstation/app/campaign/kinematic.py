@@ -16,9 +16,10 @@ from groundstation.core.types import FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.ground.failsafe import first_roles
-from groundstation.mission.phases.phase import Figures, Phase
+from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan, plan_from_record
 from groundstation.mission.roster import enlist
+from groundstation.mission.verdict import Figures
 
 _SECOND_NS = 1_000_000_000
 _NAME = "kinematic"

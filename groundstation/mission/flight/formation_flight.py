@@ -23,11 +23,12 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.free_size import Sizes, missed, sizes_of, stands_at
 from groundstation.mission.flight.guidance import Course, Guide, Poses
-from groundstation.mission.phases.phase import Figures, Phase
+from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import FormStep, HoldStep, Step
 from groundstation.mission.plan.stages import Stage, roles_for
 from groundstation.mission.roster import Roster
+from groundstation.mission.verdict import Figures
 
 _SECOND_NS = 1_000_000_000
 _STEADY_NS = _SECOND_NS  # how long the formation has to stand before the team believes it
@@ -143,6 +144,10 @@ class FormationFlight:
         share = (height - height.mean()) / spread if spread > 1e-9 else np.zeros(plan.size)
         self.gather_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         self.gather_ned_m[:, 2] -= plan.spec.takeoff.height_m + plan.spec.takeoff.stagger_m * share
+
+    def gather_at(self, places_ned_m: FloatArray) -> None:
+        """Everybody gathers there, shape (n, 3), in place of above its pad."""
+        self.gather_ned_m = places_ned_m
 
     def next_step(self, now_ns: int, poses: Poses) -> Phase:
         """Begins the next step of the mission and returns its phase; RETURN after the last one."""

@@ -153,6 +153,38 @@ def out_of_turn(failsafe: FailsafePlan, heights_m: FloatArray) -> list[tuple[int
     return [(int(i), int(j)) for i, j in np.argwhere(sooner & lower)]
 
 
+class OutOfTurn:
+    """Tells once that vehicles have exchanged roles for which the autopilots' turns to return are wrong.
+
+    Args:
+        failsafe: with the roles that it is worked out for.
+        sysids: for words.
+    """
+
+    def __init__(self, failsafe: FailsafePlan, sysids: list[int]) -> None:
+        self._failsafe, self._sysids = failsafe, sysids
+        self._told = False
+
+    def words(self, roles: IntArray, points_enu_m: FloatArray) -> str | None:
+        """An alarm, None when there is nothing to tell.
+
+        Args:
+            roles: role per vehicle, shape (n,).
+            points_enu_m: of the formation under way, shape (n, 3).
+        """
+        if self._told or np.array_equal(roles, self._failsafe.roles):
+            return None
+        wrong = out_of_turn(self._failsafe, points_enu_m[roles, 2])
+        if not wrong:
+            return None
+        self._told = True
+        names = ", ".join(f"{self._sysids[i]} below {self._sysids[j]}" for i, j in wrong[:4])
+        return (
+            f"roles were exchanged, vehicle {names}: should the ground station be lost now, who is below"
+            " would return first; take over at once in that case"
+        )
+
+
 def _against_returning(plan: MissionPlan, back: _Return) -> tuple[str, str] | None:
     """Why the team cannot return one above the other, and what helps; None where it can."""
     spec = plan.spec.failsafe

@@ -1,0 +1,98 @@
+"""Lets the monitors look, and acts on what they find."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.regions import SafetySphere
+from groundstation.core.types import FloatArray
+from groundstation.mission.blame import Blame
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.monitors.board import Sight
+from groundstation.mission.monitors.findings import Findings
+from groundstation.mission.phases.machine import Machine
+from groundstation.mission.phases.table import Event
+from groundstation.mission.team import Team
+
+
+class Lookout:
+    """Watches one team in the air.
+
+    Args:
+        team: whom.
+        machine: the phase it is in.
+    """
+
+    def __init__(self, team: Team, machine: Machine) -> None:
+        self._team, self._machine = team, machine
+        self._blame = Blame()
+
+    def watch(self, poses: Poses, sent_ned_m_s: FloatArray, now_ns: int) -> Poses:
+        """Acts on what the monitors find; returns the poses to steer by, with obstacles marked.
+
+        Args:
+            poses: of the team.
+            sent_ned_m_s: the velocities that were sent last, shape (n, 3).
+            now_ns: time of the tick.
+        """
+        team, board, roster = self._team, self._team.board, self._team.roster
+        fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
+        poses = board.trusted(poses, pose_ns, now_ns)
+        sight = Sight(
+            fleet=fleet,
+            now_ns=now_ns,
+            pos_team_ned_m=poses.pos_team_ned_m,
+            vel_ned_m_s=poses.vel_ned_m_s,
+            pose_ns=pose_ns,
+            drift_m=team.frame.drift_m(fleet, now_ns),
+            sent_ned_m_s=sent_ned_m_s,
+            ours=roster.ours,
+            steered=roster.steered & ~(roster.lands_here | board.foreign | board.hold),
+            lands_here=roster.lands_here,
+            excused=roster.told_to_land,
+            blind=board.blind,
+            airborne=team.airborne(now_ns),
+            going_on=self._machine.going_on,
+        )
+        self._act(board.look(sight), poses, now_ns)
+        poses = board.obstacles(poses, fleet, pose_ns, roster, now_ns)
+        # Nobody stays under a vehicle that comes down.
+        sinking = poses.sinking | (roster.lands_here & fleet.armed) | team.killing.falling(now_ns)
+        return replace(poses, sinking=sinking)
+
+    def _act(self, findings: Findings, poses: Poses, now_ns: int) -> None:
+        """Gives vehicles other duties, and the mission another phase."""
+        team, machine, roster = self._team, self._machine, self._team.roster
+        were = roster.in_formation
+        for text in findings.alarms:
+            team.verdict.note("alarm", text)
+        roster.release(findings.release)
+        for vehicle in findings.release:
+            team.station.commands.clear(vehicle)
+        team.landing.want_here(findings.land, poses.pos_team_ned_m, now_ns)
+        if findings.gone:
+            roster.go_home(findings.home)
+            if (were & ~roster.in_formation).any():
+                machine.drop_out("; ".join(findings.gone), now_ns)
+        if findings.aborts:
+            reason = self._blame.of(findings.aborts, team.verdict.reason)
+            if reason:  # otherwise it only follows from one that was given before
+                team.verdict.abort(reason)
+            machine.happen(Event.GIVE_UP_NOW if findings.urgent else Event.GIVE_UP, now_ns)
+        if findings.silence:
+            machine.give_up(findings.silence, now_ns, Event.SILENCE)
+
+    def measure(self, poses: Poses, now_ns: int) -> None:
+        """Enters how near to each other they come, by their own reports."""
+        team, figures, region = self._team, self._team.figures, self._team.plan.region
+        counted = np.asarray(team.airborne(now_ns) & ~team.board.blind, dtype=np.bool_)
+        distance_m = min_distance_m(poses.pos_team_ned_m, counted)
+        figures.min_distance_m = min(figures.min_distance_m, distance_m)
+        if isinstance(region, SafetySphere):
+            figures.min_clearance = figures.min_distance_m / region.radius_m
+        else:
+            clearance = min_clearance(poses.pos_team_ned_m, region, counted)
+            figures.min_clearance = min(figures.min_clearance, clearance)

@@ -1,0 +1,117 @@
+"""Does what the operator says, or says why not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.core.limits import Fence
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.landing import clear_spots
+from groundstation.mission.operator import OperatorCommand, Order, parse_command
+from groundstation.mission.phases.come_down import SilentPhase
+from groundstation.mission.phases.machine import Machine
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.phases.table import Event, refusal
+from groundstation.mission.team import PAD_TOLERANCE_M, Team
+from groundstation.mission.timing import vehicle_list
+
+
+class Orders:
+    """The operator's orders to one team.
+
+    Args:
+        team: whom they concern.
+        machine: which phase it is in.
+    """
+
+    def __init__(self, team: Team, machine: Machine) -> None:
+        self._team, self._machine = team, machine
+
+    def obey(self, line: str, poses: Poses, now_ns: int, *, sightless: bool) -> None:
+        """Does what a line says.
+
+        Args:
+            line: see ``operator.parse_command``.
+            poses: of the team.
+            now_ns: time of the tick.
+            sightless: where the vehicles are cannot be worked out at the moment.
+        """
+        team, machine = self._team, self._machine
+        note = team.verdict.note
+        try:
+            command = parse_command(line, team.fleet.sysid.tolist())
+        except ValueError as error:
+            note("alarm", str(error))
+            return
+        order = command.order
+        why = refusal(machine.phase, order)
+        if order is Order.HOLD and why is None:
+            why = team.too_low_to_hold(now_ns)
+        if why is None and sightless and order in (Order.HOLD, Order.LAND):
+            why = "where the vehicles are cannot be worked out at the moment"
+        if why is not None:
+            note("alarm", f"operator: {command.text} refused: {why}")
+            return
+        note("info", f"operator: {command.text}")
+        if order is Order.KILL:
+            self._kill(command, now_ns)
+        elif order is Order.SILENCE:
+            note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
+            machine.give_up("stopped by the operator, setpoints ended", now_ns, Event.SILENCE)
+        elif order is Order.RESUME:
+            machine.happen(Event.ORDER_RESUME, now_ns)
+        elif order is Order.RETURN or machine.phase in (Phase.CONNECT, Phase.ARM):
+            machine.give_up("stopped by the operator", now_ns, Event.ORDER_RETURN)
+        elif order is Order.HOLD:
+            machine.happen(Event.ORDER_HOLD, now_ns, poses)
+        else:
+            self._land(command, poses, now_ns)
+
+    def _land(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
+        """Some, or all, come down where they are."""
+        team, state = self._team, self._machine.state
+        if isinstance(state, SilentPhase):
+            state.land(command.vehicles, now_ns)
+        elif command.everybody:
+            self._land_all(poses, now_ns)
+        else:
+            ours = [vehicle for vehicle in command.vehicles if team.roster.ours[vehicle]]
+            for vehicle in command.vehicles:
+                if vehicle not in ours:
+                    team.verdict.note("alarm", f"operator: {team.name(vehicle)} is released and not ours to land")
+            team.landing.want_here(ours, team.rest_ned_m(poses), now_ns)
+            if ours:
+                self._machine.drop_out(f"{self._names(ours)}: landed by the operator", now_ns)
+
+    def _land_all(self, poses: Poses, now_ns: int) -> None:
+        """Everybody lands in place; whoever has somebody below moves aside first."""
+        team, spec = self._team, self._team.plan.spec
+        rest_ned_m = team.rest_ned_m(poses)
+        team.verdict.abort("landed by the operator")
+        ours = team.roster.waited_for & ~team.board.blind
+        fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
+        # They are called there when within the tolerance.
+        clearance_m = spec.avoidance.activation_m + team.plan.margin_m + team.tolerance_m(PAD_TOLERANCE_M)
+        spots = clear_spots(rest_ned_m, ours, clearance_m, fence.min_team_ned_m, fence.max_team_ned_m)
+        team.formation.gather_at(spots)
+        aside_m = np.linalg.norm((spots - rest_ned_m)[:, :2], axis=1)
+        for vehicle in np.flatnonzero(aside_m > 0.0).tolist():
+            team.verdict.note(
+                "info",
+                f"{team.name(vehicle)}: moves {aside_m[vehicle]:.2f} m aside before it lands; somebody is below",
+            )
+        team.roster.end_climb(team.roster.climbing)
+        self._machine.happen(Event.ORDER_LAND, now_ns)
+
+    def _kill(self, command: OperatorCommand, now_ns: int) -> None:
+        """Motors stop; whoever is killed is no longer ours."""
+        names = "everybody" if command.everybody else self._names(command.vehicles)
+        self._team.killing.want(command.vehicles, now_ns)
+        reason = f"{names}: killed by the operator"
+        if command.everybody or self._machine.phase is Phase.CONNECT:
+            self._machine.give_up(reason, now_ns, Event.KILL_ALL)
+        else:
+            self._machine.drop_out(reason, now_ns)
+
+    def _names(self, vehicles: list[int] | tuple[int, ...]) -> str:
+        return vehicle_list(self._team.fleet.sysid[list(vehicles)].tolist())

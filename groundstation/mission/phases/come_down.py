@@ -1,0 +1,142 @@
+"""The end: landing with the team, or waiting for those that the autopilots' own failsafe brings down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from groundstation.core.types import BoolArray
+from groundstation.mission.blame import HELP_IN_THE_AIR, still_flying
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.phases.arming import Arming
+from groundstation.mission.phases.on_the_ground import ArmPhase
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.phases.state import Entry, PhaseState, Step
+from groundstation.mission.phases.table import Event
+from groundstation.mission.team import PAD_TOLERANCE_M, Team
+from groundstation.mission.timing import SECOND_NS, Held, vehicle_list
+
+_DISARMED_NS = 5 * SECOND_NS // 2  # two heartbeats that say so
+_DOWN_MAX_NS = 120 * SECOND_NS  # nobody is waited for longer than this while the team comes down
+
+
+class _ComingDown(PhaseState):
+    """Ends the mission when everybody is down, or when nobody who is left can be waited for."""
+
+    def __init__(self, team: Team, entry: Entry) -> None:
+        super().__init__(team, entry)
+        self._down = Held()
+
+    def _down_max_ns(self) -> int:
+        return _DOWN_MAX_NS
+
+    def _over(self, now_ns: int) -> bool:
+        """Whether it is over; then everything that has to be told of who is left is told."""
+        team = self._team
+        lost = team.landing.lost(now_ns)
+        up = team.landing.still_up(self.since_ns, now_ns) | (team.killing.not_shown() & ~lost)
+        late = now_ns - self.since_ns >= self._down_max_ns()
+        down = self._down(late or not up.any(), now_ns, _DISARMED_NS)
+        if not late and not down:
+            return False
+        abort = team.verdict.abort
+        names = self._names(lost)
+        if names:
+            abort(
+                f"{names}: not heard from any more, whether it has landed is not known; if it flies, {HELP_IN_THE_AIR}"
+            )
+        names = self._names(team.landing.unsure(now_ns))
+        if names:
+            abort(f"{names}: stands on the ground and sends no heartbeat, it may still be armed")
+        if up.any():
+            self._tell_late(up, now_ns)
+        flying = team.airborne(now_ns) & ~lost & ~team.roster.killed & ~up
+        for text in still_flying(team.fleet, team.plan, flying, now_ns):
+            abort(text)
+        team.verdict.complete()
+        return True
+
+    def _tell_late(self, up: BoolArray, now_ns: int) -> None:
+        """Says of those that are still up when nobody waits any longer what is left to do."""
+        team, waited_s = self._team, self._down_max_ns() // SECOND_NS
+        killed = team.roster.killed
+        height_m = team.height_m(team.frame.poses(team.fleet, now_ns).pos_team_ned_m)
+        for vehicle in np.flatnonzero(up & killed).tolist():
+            team.verdict.abort(
+                f"{team.name(vehicle)}: told to stop its motors, and still armed by its own report"
+                f" after {waited_s:g} s; keep clear of it, stop it by remote control"
+            )
+        for vehicle in np.flatnonzero(up & ~killed).tolist():
+            team.verdict.abort(team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s))
+
+    def _names(self, who: BoolArray) -> str:
+        return vehicle_list(self._team.fleet.sysid[who].tolist())
+
+
+class LandPhase(_ComingDown):
+    """Everybody lands, each when nobody is below; before takeoff everybody is disarmed."""
+
+    phase = Phase.LAND
+    steers = streams = True
+
+    def __init__(self, team: Team, entry: Entry) -> None:
+        super().__init__(team, entry)
+        self._in_place = entry.event is Event.ORDER_LAND and team.stance.flies
+        self._arming: Arming | None = entry.before.arming if isinstance(entry.before, ArmPhase) else None
+
+    def step(self, now_ns: int, poses: Poses) -> Step:
+        """Lets those land that are where they should."""
+        team, gather_ned_m = self._team, self._team.formation.gather_ned_m
+        if not team.stance.flies:
+            anew = self._arming.started_anew() if self._arming is not None else None
+            if anew is not None:  # a vehicle tells it seconds after it has fallen silent
+                team.verdict.abort(anew)
+            team.landing.disarm_on_the_ground(now_ns)
+        else:
+            aside_m = np.linalg.norm((poses.pos_team_ned_m - gather_ned_m)[:, :2], axis=1)
+            waits = self._in_place & (aside_m >= team.tolerance_m(PAD_TOLERANCE_M))
+            waits &= now_ns - self.since_ns < team.plan.spec.land.timeout_s * SECOND_NS
+            team.landing.want(np.flatnonzero(~waits).tolist(), now_ns)
+        event = Event.DOWN if self._over(now_ns) else None
+        if not team.roster.follows.any():
+            return Step(event=event)  # the autopilots land by themselves, nobody is left to be steered
+        return Step(team.guide.to_targets(poses, team.places_ned_m(gather_ned_m)).vel_ned_m_s, event)
+
+
+class SilentPhase(_ComingDown):
+    """No setpoints and no heartbeats: the autopilots' own failsafe acts. Orders to land and to kill are still sent."""
+
+    phase = Phase.SILENT
+
+    def __init__(self, team: Team, entry: Entry) -> None:
+        super().__init__(team, entry)
+        self._spoken_to = False
+
+    @property
+    def speaks(self) -> bool:
+        """Silent, heartbeats too: some autopilots act only when those are gone; unless the operator wants something."""
+        return self._spoken_to or bool(self._team.roster.killed.any())
+
+    def land(self, vehicles: Sequence[int], now_ns: int) -> None:
+        """The operator wants vehicles landed."""
+        self._spoken_to = True
+        self._team.landing.want(vehicles, now_ns)
+
+    def _down_max_ns(self) -> int:
+        down_s = self._team.preflight.checks.failsafe.down_s
+        return _DOWN_MAX_NS + (round(down_s) * SECOND_NS if np.isfinite(down_s) else 0)
+
+    def step(self, now_ns: int, poses: Poses) -> Step:
+        """Waits until everybody is down."""
+        return Step(event=Event.DOWN if self._over(now_ns) else None)
+
+
+class DonePhase(PhaseState):
+    """There is nothing left to do."""
+
+    phase = Phase.DONE
+
+    def step(self, now_ns: int, poses: Poses) -> Step:
+        """Does nothing."""
+        return Step()

@@ -1,0 +1,42 @@
+"""The way back: to the places above the pads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.phases.state import Entry, PhaseState, Step
+from groundstation.mission.phases.table import Event
+from groundstation.mission.team import PAD_TOLERANCE_M, Team
+from groundstation.mission.timing import SECOND_NS, Held
+
+
+class ReturnPhase(PhaseState):
+    """Until everybody who is waited for is above its pad."""
+
+    phase = Phase.RETURN
+    steers = streams = True
+
+    def __init__(self, team: Team, entry: Entry) -> None:
+        super().__init__(team, entry)
+        self._back = Held()
+
+    def stood_still(self, held_ns: int) -> None:
+        """The operator held it for a while."""
+        super().stood_still(held_ns)
+        self._back.forget()
+
+    def step(self, now_ns: int, poses: Poses) -> Step:
+        """Flies home."""
+        team, gather_ned_m = self._team, self._team.formation.gather_ned_m
+        offset_m = np.linalg.norm(poses.pos_team_ned_m - gather_ned_m, axis=1)
+        away = (offset_m >= team.tolerance_m(PAD_TOLERANCE_M)) & team.fleet.armed
+        away &= team.roster.waited_for & ~(team.board.blind | team.landing.lost(now_ns))
+        event = None
+        if self._back(not away.any(), now_ns):
+            event = Event.BACK
+        elif away.any() and now_ns - self.since_ns >= team.plan.spec.land.timeout_s * SECOND_NS:
+            team.verdict.note("alarm", f"not everybody is back after {team.plan.spec.land.timeout_s:g} s; landing")
+            event = Event.BACK
+        return Step(team.formation.fly_home(poses, team.absent(), team.places_ned_m(gather_ned_m)), event)

@@ -1,0 +1,71 @@
+"""The phases that are flown in formation: form, hold, move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.phases.state import PhaseState, Step
+from groundstation.mission.phases.table import Event
+from groundstation.mission.team import PAD_TOLERANCE_M
+
+_EVENTS = {
+    Phase.FORM: Event.NEXT_FORM,
+    Phase.HOLD: Event.NEXT_HOLD,
+    Phase.MOVE: Event.NEXT_MOVE,
+    Phase.RETURN: Event.STEPS_DONE,
+}
+
+
+def event_of(phase: Phase) -> Event:
+    """What it is called that this phase is the next of the mission."""
+    return _EVENTS[phase]
+
+
+class FormationPhase(PhaseState):
+    """One step of the mission."""
+
+    steers = streams = True
+
+    def stood_still(self, held_ns: int) -> None:
+        """The operator held it for a while."""
+        super().stood_still(held_ns)
+        self._team.formation.stood_still(held_ns)
+
+    def step(self, now_ns: int, poses: Poses) -> Step:
+        """Flies the formation; those that have dropped out fly apart."""
+        team, formation = self._team, self._team.formation
+        tick = formation.step(now_ns, poses, team.absent())
+        words = team.turns.words(formation.role_of_agent, formation.formation.points_enu_m)
+        if words is not None:
+            team.verdict.note("alarm", words)
+        event = None
+        if tick.give_up:
+            team.verdict.abort(tick.give_up)
+            event = Event.GIVE_UP
+        elif tick.enter is not None:
+            event = event_of(tick.enter)
+        out = ~team.roster.in_formation
+        if not out.any():
+            return Step(tick.vel_ned_m_s, event)
+        apart = team.apart.step(now_ns, poses, formation.gather_ned_m, team.tolerance_m(PAD_TOLERANCE_M))
+        return Step(np.where(out[:, None], apart, tick.vel_ned_m_s), event)
+
+
+class FormPhase(FormationPhase):
+    """Until every distance is within its tolerance."""
+
+    phase = Phase.FORM
+
+
+class HoldPhase(FormationPhase):
+    """Keeps the formation."""
+
+    phase = Phase.HOLD
+
+
+class MovePhase(FormationPhase):
+    """Moves, turns and scales it."""
+
+    phase = Phase.MOVE

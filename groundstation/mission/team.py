@@ -1,0 +1,142 @@
+"""What lives as long as the mission, for the phases to work with: the vehicles, and everything that acts on them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from groundstation.core import frames
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.station import Station
+from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mission.flight.apart import Apart
+from groundstation.mission.flight.formation_flight import FormationFlight
+from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.killing import Killing
+from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.standing import landed_age_s
+from groundstation.mission.flight.team_frame import TeamFrame
+from groundstation.mission.ground.failsafe import OutOfTurn
+from groundstation.mission.ground.preflight import Preflight
+from groundstation.mission.monitors.board import Monitor
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import enlist
+from groundstation.mission.verdict import Figures, Verdict
+from groundstation.mission.words import Words
+
+PAD_TOLERANCE_M = 0.15
+"""So near to its place is there, horizontally and in height."""
+_SLOWNESS_MAX = 2.0  # links with a delay make everybody approach more gently, so that errors of velocity show more
+_OF_MARGIN = 0.35  # share of the positions' own error that tolerances are widened to
+
+
+class Stance:
+    """What holds for the whole flight and was settled at its beginning.
+
+    Attributes:
+        yaw_ned_rad: heading that each vehicle keeps, shape (n,).
+        takeoff_ns: since when the team flies, NEVER before.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.yaw_ned_rad: FloatArray = np.zeros(n)
+        self.takeoff_ns = NEVER
+
+    def face(self, yaw_ned_rad: FloatArray) -> None:
+        """Everybody keeps this heading."""
+        self.yaw_ned_rad = yaw_ned_rad
+
+    def take_off(self, now_ns: int) -> None:
+        """The team flies from now on."""
+        self.takeoff_ns = now_ns
+
+    @property
+    def flies(self) -> bool:
+        """Whether it has taken off, or was taken over."""
+        return self.takeoff_ns != NEVER
+
+
+class Team:
+    """The vehicles of one mission and all that acts on them.
+
+    Args:
+        plan: what to fly.
+        start_ns: time at which it begins.
+        look_only: set no parameters, whatever the mission says.
+        take_over: the vehicles are in the air already.
+    """
+
+    def __init__(self, plan: MissionPlan, start_ns: int, *, look_only: bool, take_over: bool) -> None:
+        self.plan = plan
+        self.figures, self.verdict, self.words = Figures(), Verdict(), Words()
+        fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
+        greeted = [(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer]
+        self.station = Station(fleet, start_ns, greeted=greeted)
+        self.frame = TeamFrame(plan)
+        self.preflight = Preflight(plan, self.station, self.frame, look_only=look_only)
+        self.roster = enlist(plan, untaken=take_over)
+        self.board = Monitor(plan)
+        self.guide = Guide(plan)
+        self.formation = FormationFlight(plan, self.roster, self.guide, self.figures, self.verdict.note)
+        commands = self.station.commands
+        self.landing = Landing(plan, fleet, commands, self.roster, self.guide.beside_m)
+        self.killing = Killing(plan, fleet, commands, self.roster)
+        self.apart = Apart(plan, self.roster, self.landing)
+        self.stance = Stance(plan.size)
+        self.turns = OutOfTurn(self.preflight.checks.failsafe, fleet.sysid.tolist())
+
+    @property
+    def fleet(self) -> Fleet:
+        """State of the vehicles."""
+        return self.station.fleet
+
+    @cached_property
+    def _landed_age_s(self) -> FloatArray:
+        return landed_age_s(self.plan)
+
+    def airborne(self, now_ns: int) -> BoolArray:
+        """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
+        airborne: BoolArray = self.fleet.armed & ~self.fleet.stands(now_ns, self._landed_age_s)
+        return airborne
+
+    def absent(self) -> BoolArray:
+        """Vehicles that do not follow setpoints at the moment, shape (n,)."""
+        board = self.board
+        return np.asarray(board.hold | board.blind | board.foreign | ~self.roster.follows)
+
+    def tolerance_m(self, least_m: float) -> float:
+        """How near to a place counts as there: the least, or what positions may be off."""
+        return max(least_m, _OF_MARGIN * self.plan.margin_m * min(self.plan.slowness, _SLOWNESS_MAX))
+
+    def height_m(self, pos_team_ned_m: FloatArray) -> FloatArray:
+        """Heights of places, shape (n, 3), above the pads, shape (n,)."""
+        pads_ned_m = frames.ned_from_enu(self.plan.pads_enu_m)
+        return np.asarray((pads_ned_m - pos_team_ned_m)[:, 2])
+
+    def rest_ned_m(self, poses: Poses) -> FloatArray:
+        """Where everybody comes to rest when told to stop now, shape (n, 3)."""
+        stopping_s = self.plan.profile.lag_s + self.plan.profile.delay_s
+        return np.asarray(poses.pos_team_ned_m + stopping_s * poses.vel_ned_m_s)
+
+    def places_ned_m(self, others_ned_m: FloatArray) -> FloatArray:
+        """The places of those that land where they are, and those given for the others, shape (n, 3)."""
+        return np.where(self.roster.lands_here[:, None], self.roster.place_ned_m, others_ned_m)
+
+    def too_low_to_hold(self, now_ns: int) -> str | None:
+        """Words for a battery that does not allow standing still, None when all do."""
+        minimum = self.plan.spec.limits.battery_min
+        flying = self.airborne(now_ns) & self.roster.follows
+        for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & flying):
+            left = self.fleet.battery_remaining[vehicle]
+            return f"{self.name(int(vehicle))}: battery at {left:.0%}, minimum is {minimum:.0%}"
+        return None
+
+    def name(self, vehicle: int) -> str:
+        """``vehicle 3``."""
+        return f"vehicle {self.fleet.sysid[vehicle]}"
+
+    def forget_commands(self) -> None:
+        """What was asked and is not answered yet is not asked again, but of those whose motors are to stop."""
+        for vehicle in np.flatnonzero(~self.roster.killed).tolist():
+            self.station.commands.clear(vehicle)

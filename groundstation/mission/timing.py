@@ -1,0 +1,77 @@
+"""Small ideas about time, once: seconds in ns, what has held for a while, what is asked again now and then."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.core.types import BoolArray, IntArray
+from groundstation.mavlink.vehicle import NEVER
+
+SECOND_NS = 1_000_000_000
+
+
+class Held:
+    """How long a condition has held without a break."""
+
+    def __init__(self) -> None:
+        self.since_ns = NEVER
+
+    def __call__(self, condition: bool, now_ns: int, for_ns: int = SECOND_NS) -> bool:
+        """Takes the condition of this tick; returns whether it has held for so long."""
+        if not condition:
+            self.since_ns = NEVER
+            return False
+        if self.since_ns == NEVER:
+            self.since_ns = now_ns
+        return now_ns - self.since_ns >= for_ns
+
+    def forget(self) -> None:
+        """It counts from anew."""
+        self.since_ns = NEVER
+
+
+class HeldEach:
+    """The same of n conditions."""
+
+    def __init__(self, n: int) -> None:
+        self.since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+
+    def __call__(self, conditions: BoolArray, now_ns: int, for_ns: int = SECOND_NS) -> BoolArray:
+        """Takes the conditions of this tick, shape (n,); returns which have held for so long."""
+        started_ns = np.where(self.since_ns == NEVER, now_ns, self.since_ns)
+        self.since_ns = np.where(conditions, started_ns, NEVER)
+        return np.asarray(conditions & (now_ns - self.since_ns >= for_ns))
+
+
+class AskAgain:
+    """When each of n vehicles was asked last, and whether it is time to ask again.
+
+    Args:
+        n: vehicles.
+        every_ns: no sooner than this.
+    """
+
+    def __init__(self, n: int, every_ns: int = SECOND_NS) -> None:
+        self._every_ns = every_ns
+        self._asked_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+
+    def due(self, vehicle: int, now_ns: int) -> bool:
+        """Whether it may be asked again."""
+        return bool(now_ns - self._asked_ns[vehicle] >= self._every_ns)
+
+    def all_due(self, now_ns: int) -> BoolArray:
+        """The same of everybody, shape (n,)."""
+        return np.asarray(now_ns - self._asked_ns >= self._every_ns)
+
+    def asked(self, vehicle: int, now_ns: int) -> None:
+        """It is asked now."""
+        self._asked_ns[vehicle] = now_ns
+
+    def at_once(self, vehicle: int) -> None:
+        """It may be asked again at once."""
+        self._asked_ns[vehicle] = NEVER
+
+
+def vehicle_list(sysids: list[int]) -> str:
+    """``vehicle 1, vehicle 3``: a list of vehicles in words."""
+    return ", ".join(f"vehicle {sysid}" for sysid in sysids)

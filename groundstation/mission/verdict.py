@@ -1,0 +1,97 @@
+"""What a mission has come to, as it goes: its notes, its outcome and its figures. Judges nothing by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something that happened, for the log and for people: ``kind`` is phase, alarm, info or roles."""
+
+    kind: str
+    text: str
+    roles: tuple[int, ...] = ()
+
+
+@dataclass
+class Figures:
+    """What the mission came to, from what the vehicles reported.
+
+    Attributes:
+        converged: every form step was reached.
+        time_to_form_s: from the start of the first form step until its formation stood, NaN before.
+        formation_error_m: largest |d_ij - d*_ij| over all pairs and over the hold, NaN before.
+        min_distance_m: smallest reported distance between two vehicles in the air.
+        min_clearance: the same in the norm of the safety region: below 1, somebody was inside of it.
+        move_error_m: the same over all moves, against the size that the formation has at the time.
+        gridlocks: times an agent found itself locked in by others.
+        role_swaps: pairs of vehicles that exchanged their roles to get out of a gridlock.
+        detours: times an agent went round others, or backed off, to get out of one.
+        flight_time_s: from takeoff to the end, NaN before takeoff.
+        ticks: calls of ``step``.
+        deadline_misses: ticks that came more than a whole period late.
+    """
+
+    converged: bool = False
+    time_to_form_s: float = np.nan
+    formation_error_m: float = np.nan
+    min_distance_m: float = np.inf
+    min_clearance: float = np.inf
+    move_error_m: float = np.nan
+    gridlocks: int = 0
+    role_swaps: int = 0
+    detours: int = 0
+    flight_time_s: float = np.nan
+    ticks: int = 0
+    deadline_misses: int = 0
+
+
+class Verdict:
+    """Notes for people, and how the mission ends.
+
+    Attributes:
+        outcome: None until done; then completed, aborted or refused.
+        reason: why it was aborted or refused, "" otherwise.
+        problems: what stands between the team and arming, a line for each.
+    """
+
+    def __init__(self) -> None:
+        self.outcome: str | None = None
+        self.reason = ""
+        self.problems: list[str] = []
+        self._notes: list[Note] = []
+
+    def note(self, kind: str, text: str, roles: tuple[int, ...] = ()) -> None:
+        """Takes what is worth the log."""
+        self._notes.append(Note(kind, text, roles))
+
+    def take_notes(self) -> list[Note]:
+        """Hands out what happened since the last call."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def trouble(self, problems: list[str]) -> None:
+        """Takes what is not well at the moment."""
+        self.problems = problems
+
+    def abort(self, reason: str) -> None:
+        """Notes why the mission is not completed; a later reason is added to the first."""
+        if reason in self.reason:
+            return
+        self.outcome = "aborted"
+        self.reason = f"{self.reason}; {reason}" if self.reason else reason
+        self.note("alarm", f"aborted: {reason}")
+
+    def refuse(self, reasons: list[str]) -> None:
+        """Nothing is armed, or taken over, for these reasons."""
+        self.outcome = "refused"
+        self.reason = "; ".join(reasons)
+        self.problems = reasons
+
+    def complete(self) -> None:
+        """It is over; completed unless something was said against it."""
+        if self.outcome is None:
+            self.outcome = "completed"
