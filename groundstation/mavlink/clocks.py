@@ -2,7 +2,8 @@
 
 Messages carry ``time_boot_ms``, the vehicle's own time since power-up. TIMESYNC round trips that we start (``tc1`` = 0,
 ``ts1`` = our time) tell how far that clock is ahead: the answer was written somewhere between question and arrival, so
-half of the round trip is the uncertainty, and the quickest round trip of late is the best one.
+half of the round trip is the uncertainty, and the quickest round trip of late is the best one. Crystals run alike; a
+simulator on a busy computer counts time a few percent slowly, which is worked out from what round trips bound.
 
 Also tells from ``time_boot_ms`` that a vehicle has started anew, or that two vehicles speak under one system id: the
 time runs back once, or again and again. Reads no clock; all times are ns on the caller's.
@@ -20,28 +21,35 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 _KEPT_NS = 60_000_000_000
 _KEPT_SAMPLES = 32
 _DRIFT = 50e-6  # crystals differ by this much at most: an old sample is worth that much less
+_RATE_MAX = 0.03  # simulators on a busy computer count time up to 2 % slowly
+_RATE_SURE = 1e-3  # how well a rate that is not a crystal's is believed to last
 _OUTSTANDING = 64
-_JUMP_NS = 20_000_000  # beyond what the round trips allow: the clock was set, or belongs to a new start
+_JUMP_NS = 20_000_000  # beyond what round trips and rates allow: the clock was set, stood still, or began anew
 _BACK_MS = 1_000  # reordering on a link is quicker than this
+_STALL_NS = 3_000_000_000  # no simulator stands still for longer than this; a vehicle that starts anew is away longer
+_LAG_S = 0.25  # beyond the quickest round trip
 _BACK_AGAIN = 3  # so many messages in a row with the earlier time: the vehicle has started anew
 _FLIPS, _FLIPS_NS = 4, 5_000_000_000
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Sample:
     t_ns: int
     offset_ns: int
     round_trip_ns: int
 
-    def uncertainty_ns(self, now_ns: int) -> float:
-        return self.round_trip_ns / 2 + _DRIFT * (now_ns - self.t_ns)
+    def uncertainty_ns(self, now_ns: int, rate_unsure: float) -> float:
+        return self.round_trip_ns / 2 + rate_unsure * (now_ns - self.t_ns)
 
 
 class Clocks:
-    """How far the clocks of n vehicles are ahead of ours.
+    """How far the clocks of n vehicles are ahead of ours, and how much faster they run.
 
     Attributes:
-        offset_ns: vehicle's time since boot minus our time, shape (n,); of no meaning where not known.
+        offset_ns: vehicle's time since boot minus our time at ``at_ns``, shape (n,); of no meaning where not known.
+        at_ns: of our time, shape (n,).
+        rate: by how much it grows in each nanosecond of ours, shape (n,); 0 where a crystal's drift explains all that
+            was seen.
         known: there was a round trip since the vehicle's last start, shape (n,).
         round_trip_s: the quickest round trip of late, NaN where not known, shape (n,).
         samples: round trips since the last start, shape (n,).
@@ -49,36 +57,48 @@ class Clocks:
 
     def __init__(self, n: int) -> None:
         self.offset_ns: IntArray = np.zeros(n, dtype=np.int64)
+        self.at_ns: IntArray = np.zeros(n, dtype=np.int64)
+        self.rate: FloatArray = np.zeros(n)
         self.known: BoolArray = np.zeros(n, dtype=np.bool_)
         self.round_trip_s: FloatArray = np.full(n, np.nan)
         self.samples: IntArray = np.zeros(n, dtype=np.int64)
         self._late: list[deque[_Sample]] = [deque(maxlen=_KEPT_SAMPLES) for _ in range(n)]
         self._asked: list[deque[int]] = [deque(maxlen=_OUTSTANDING) for _ in range(n)]
+        self._told_ns: IntArray = np.zeros(n, dtype=np.int64)
+        self._lag_ns: IntArray = np.zeros(n, dtype=np.int64)
 
     def asked(self, vehicle: int, ts1_ns: int) -> None:
         """Remembers a question that was sent; answers to anybody else's do not count."""
         self._asked[vehicle].append(ts1_ns)
 
     def answered(self, vehicle: int, tc1_ns: int, ts1_ns: int, t_rx_ns: int) -> bool:
-        """Takes an answer; returns whether the vehicle's clock has run back: it has started anew."""
+        """Takes an answer; returns whether the vehicle's clock has run back: it has started anew.
+
+        A clock that was set forward, or stood still for a moment, is followed from this answer on.
+        """
         if ts1_ns not in self._asked[vehicle] or t_rx_ns < ts1_ns:
             return False
         late = self._late[vehicle]
         sample = _Sample(t_rx_ns, tc1_ns - (ts1_ns + t_rx_ns) // 2, t_rx_ns - ts1_ns)
         if late:
-            best = min(late, key=lambda item: item.uncertainty_ns(t_rx_ns))
-            jump_ns = sample.offset_ns - best.offset_ns
-            if abs(jump_ns) > sample.round_trip_ns / 2 + best.uncertainty_ns(t_rx_ns) + _JUMP_NS:
-                self.forget(vehicle)
-                if jump_ns < -_BACK_MS * 1_000_000:
+            newest = late[-1]
+            jump_ns = sample.offset_ns - newest.offset_ns
+            allowed_ns = (sample.round_trip_ns + newest.round_trip_ns) / 2 + _RATE_MAX * (t_rx_ns - newest.t_ns)
+            if abs(jump_ns) > allowed_ns + _JUMP_NS:
+                late.clear()
+                if jump_ns < -_STALL_NS or tc1_ns < self._told_ns[vehicle] - _BACK_MS * 1_000_000:
+                    self.forget(vehicle)
                     return True
+        self._told_ns[vehicle] = tc1_ns
         self._asked[vehicle] = deque((t for t in self._asked[vehicle] if t != ts1_ns), maxlen=_OUTSTANDING)
         late.append(sample)
         while late[0].t_ns < t_rx_ns - _KEPT_NS:
             late.popleft()
-        best = min(late, key=lambda sample: sample.uncertainty_ns(t_rx_ns))
-        self.offset_ns[vehicle] = best.offset_ns
+        rate, unsure = _rate(late)
+        best = min(late, key=lambda item: item.uncertainty_ns(t_rx_ns, unsure))
+        self.offset_ns[vehicle], self.at_ns[vehicle], self.rate[vehicle] = best.offset_ns, best.t_ns, rate
         self.round_trip_s[vehicle] = best.round_trip_ns / 1e9
+        self._lag_ns[vehicle] = 0
         self.samples[vehicle] += 1
         self.known[vehicle] = True
         return False
@@ -87,6 +107,9 @@ class Clocks:
         """The vehicle has started anew: its clock too."""
         self._late[vehicle].clear()
         self._asked[vehicle].clear()
+        self._told_ns[vehicle] = 0
+        self._lag_ns[vehicle] = 0
+        self.rate[vehicle] = 0.0
         self.known[vehicle] = False
         self.round_trip_s[vehicle] = np.nan
         self.samples[vehicle] = 0
@@ -108,8 +131,41 @@ class Clocks:
             message bears no time.
         """
         half_ms_ns = 500_000  # whole milliseconds are cut off, not rounded
-        mapped = boot_ms * 1_000_000 + half_ms_ns - self.offset_ns[row]
-        return np.where(self.known[row] & (boot_ms > 0), np.minimum(mapped, t_rx_ns), t_rx_ns)
+        since_ns = t_rx_ns - self.at_ns[row]
+        offset_ns = self.offset_ns[row] + np.rint(self.rate[row] * since_ns).astype(np.int64)
+        mapped = boot_ms * 1_000_000 + half_ms_ns - offset_ns
+        measured_ns = np.where(self.known[row] & (boot_ms > 0), np.minimum(mapped, t_rx_ns), t_rx_ns)
+        self._lag_ns[row] = t_rx_ns - measured_ns
+        return measured_ns
+
+    def doubtful(self) -> BoolArray:
+        """Vehicles whose messages seem to have been long under way: their clocks may have stood still, shape (n,)."""
+        return np.asarray(self._lag_ns / 1e9 > self.round_trip_s + _LAG_S)  # not with NaN
+
+
+def _rate(late: deque[_Sample]) -> tuple[float, float]:
+    """How much faster a clock runs than ours by its round trips, and how far off that may be.
+
+    Each round trip bounds the offset to both sides, so two of them bound the rate. Older ones that no rate of today
+    explains are dropped. As long as a crystal's drift is possible the rate is taken for that.
+    """
+    newest = late[-1]
+    low, high = -_RATE_MAX, _RATE_MAX
+    kept = 1
+    for older in reversed(list(late)[:-1]):
+        apart_ns = max(newest.t_ns - older.t_ns, 1)
+        slack_ns = (newest.round_trip_ns + older.round_trip_ns) / 2
+        gone_ns = newest.offset_ns - older.offset_ns
+        least, most = (gone_ns - slack_ns) / apart_ns, (gone_ns + slack_ns) / apart_ns
+        if max(low, least) > min(high, most):
+            break
+        low, high = max(low, least), min(high, most)
+        kept += 1
+    while len(late) > kept:
+        late.popleft()
+    if low <= _DRIFT and high >= -_DRIFT:
+        return 0.0, _DRIFT
+    return (low + high) / 2, (high - low) / 2 + _RATE_SURE
 
 
 class BootTimes:

@@ -58,7 +58,7 @@ class Station:
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
         self._received: list[ReceivedFrame] = []
         self._next_heartbeat_ns = start_ns
-        self._next_timesync_ns = start_ns
+        self._next_timesync_ns = self._last_timesync_ns = start_ns
         self._greeted = tuple(greeted)
         self._extra: list[tuple[int, bytes]] = []
 
@@ -171,8 +171,11 @@ class Station:
     def _synchronise(self, now_ns: int, frames: list[list[bytes]]) -> None:
         """Asks for the vehicles' time, once for all behind one address: all of them answer."""
         clocks = self.fleet.clocks
+        if clocks.doubtful().any():
+            self._next_timesync_ns = min(self._next_timesync_ns, self._last_timesync_ns + _TIMESYNC_EAGER_NS)
         if now_ns < self._next_timesync_ns:
             return
+        self._last_timesync_ns = now_ns
         peers = self.fleet.peer
         hurry = any(peer is not None and clocks.samples[i] < _TIMESYNC_ENOUGH for i, peer in enumerate(peers))
         self._next_timesync_ns = now_ns + (_TIMESYNC_EAGER_NS if hurry else _TIMESYNC_NS)

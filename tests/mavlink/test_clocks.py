@@ -36,6 +36,95 @@ def test_the_mapped_time_is_off_by_half_the_quickest_round_trip_at_most(
     assert clocks.samples[0] == len(trips)
 
 
+SECOND = 1_000_000_000
+
+
+class _Talk:
+    """Round trips with a vehicle whose clock goes as it is told, on a link with delays of its own."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.clocks, self.rng = Clocks(1), np.random.default_rng(seed)
+        self.now_ns, self.boot_ns, self.rate = 10**13, 20.0 * SECOND, 1.0
+        self.restarts = 0
+
+    def passes(self, seconds: float) -> None:
+        self.now_ns += round(seconds * SECOND)
+        self.boot_ns += seconds * SECOND * self.rate
+
+    def ask(self) -> None:
+        up_s, down_s = self.rng.uniform(0.002, 0.02, 2)
+        asked_ns = self.now_ns
+        self.clocks.asked(0, asked_ns)
+        self.passes(up_s)
+        told_ns = round(self.boot_ns)
+        self.passes(down_s)
+        self.restarts += self.clocks.answered(0, told_ns, asked_ns, self.now_ns)
+
+    def error_s(self) -> float:
+        """How far off the time of a measurement made now is, that arrives 5 ms later."""
+        measured_ns, boot_ms = self.now_ns, int(self.boot_ns) // MS
+        self.passes(0.005)
+        (mapped,) = self.clocks.measured_ns(_ints(0), _ints(boot_ms), _ints(self.now_ns))
+        return abs(int(mapped) - measured_ns) / SECOND
+
+
+@given(rate=st.floats(0.98, 1.02), seed=st.integers(0, 99))
+def test_a_clock_that_runs_two_percent_off_is_followed(rate: float, seed: int) -> None:
+    talk = _Talk(seed)
+    talk.rate = rate
+    for k in range(40):
+        talk.ask()
+        assert talk.clocks.samples[0] == k + 1  # never forgotten
+        talk.passes(2.0)
+        if k > 3:
+            assert talk.error_s() < 0.04  # half the largest round trip, and what the rate is not known by
+    assert not talk.restarts
+
+
+def test_a_rate_that_changes_is_followed() -> None:
+    talk = _Talk()
+    for rate in (1.0, 0.985, 0.989, 1.0):
+        talk.rate = rate
+        for k in range(15):
+            talk.ask()
+            talk.passes(2.0)
+            assert talk.error_s() < (0.08 if k < 4 else 0.04)
+    assert talk.clocks.samples[0] == 60
+    assert not talk.restarts
+
+
+def test_steps_and_stalls_are_followed_without_a_restart() -> None:
+    talk = _Talk()
+    for jump_s in (-1.0, 5.0, -0.3, 60.0, -2.0):
+        for _ in range(5):
+            talk.ask()
+            talk.passes(2.0)
+        talk.boot_ns += jump_s * SECOND
+        if jump_s < -0.3:
+            talk.error_s()
+            assert talk.clocks.doubtful()[0]  # asked again soon
+        talk.ask()
+        assert talk.error_s() < 0.03
+        assert not talk.clocks.doubtful()[0]
+    assert not talk.restarts
+
+
+def test_a_clock_that_begins_anew_is_a_restart() -> None:
+    for uptime_s, away_s in ((20.0, 1.5), (5.0, 10.0)):
+        talk = _Talk()
+        talk.boot_ns = uptime_s * SECOND
+        for _ in range(3):
+            talk.ask()
+            talk.passes(0.5)
+        talk.passes(away_s)
+        talk.boot_ns = 0.8 * away_s * SECOND
+        talk.ask()
+        assert talk.restarts == 1
+        assert not talk.clocks.known[0]
+        talk.ask()
+        assert talk.error_s() < 0.03
+
+
 def test_answers_to_others_do_not_count_and_nothing_was_measured_after_it_arrived() -> None:
     clocks = Clocks(2)
     clocks.asked(1, 1000)

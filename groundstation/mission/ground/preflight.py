@@ -419,9 +419,9 @@ class Preflight:
         clocks = self._station.fleet.clocks
         if self._heard_ns[vehicle] == NEVER:
             self._heard_ns[vehicle] = now_ns
-        if clocks.samples[vehicle] < _SYNC_SAMPLES:
-            if now_ns - self._heard_ns[vehicle] < _SYNC_PATIENCE_NS:
-                return "clock asked for, not answered yet"
+        if clocks.samples[vehicle] < _SYNC_SAMPLES and now_ns - self._heard_ns[vehicle] < _SYNC_PATIENCE_NS:
+            return "clock asked for, not answered yet"
+        if not clocks.known[vehicle]:
             state.notes.append(
                 f"vehicle {self._plan.spec.vehicles[vehicle].id}: does not answer TIMESYNC; its positions are dated by"
                 " their arrival"
