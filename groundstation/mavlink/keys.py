@@ -22,6 +22,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from groundstation.core.errors import UserError
+from groundstation.core.own_files import write_whole
 from groundstation.mavlink.signing import ADOPTED_MAX, KEY_BYTES, LATEST, SecretKey, Times
 
 _FILE_MAX = 1_024
@@ -172,16 +173,7 @@ def write_times(path: Path, times: Times, ahead: int, *, durable: bool) -> None:
         "newest": times.newest,
         "streams": [[*stream, stamp] for stream, stamp in sorted(times.streams.items())],
     }
-    part = path.with_name(f".{path.name}.part")
-    with contextlib.suppress(FileNotFoundError):
-        part.unlink()
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        json.dump(values, file)
-        file.flush()
-        if durable:
-            os.fsync(descriptor)
-    part.replace(path)
+    write_whole(path, json.dumps(values).encode("ascii"), mode=0o600, durable=durable)
 
 
 def _stamp(value: object, limit: int = LATEST) -> int:

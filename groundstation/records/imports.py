@@ -22,7 +22,8 @@ from groundstation.core.errors import UserError
 from groundstation.core.files import require_regular
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, blank, encode_batch
-from groundstation.records.manifest import Manifest, manifest_path, write_manifest
+from groundstation.records.manifest import Manifest, manifest_path
+from groundstation.records.recording import recording
 from groundstation.records.tlog import GROUND_COMPID, GROUND_SYSID, LATEST_UNIX_US, TlogWriter
 
 _LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
@@ -131,16 +132,12 @@ def import_crazyswarm(
     if radius_m is not None:
         mission["avoidance"] = {"radius_m": radius_m}
     manifest = Manifest(mission=mission, epoch_unix_us=epoch_unix_us, versions=versions)
-    writer = TlogWriter(log, epoch_unix_us)
-    _write_flight(writer, flight)
-    writer.close()
-    try:
-        if writer.problem is not None:
-            raise UserError(f"{writer.problem}; make room or give another place")
-        write_manifest(manifest_path(log), manifest)
-    except UserError:
-        log.unlink(missing_ok=True)
-        raise
+    with recording(log, manifest, replace=True) as writer:
+        _write_flight(writer, flight)
+    if writer.problem is not None:
+        for path in (log, manifest_path(log)):
+            path.unlink(missing_ok=True)
+        raise UserError(f"{writer.problem}; make room or give another place")
     return manifest
 
 

@@ -8,11 +8,9 @@ manifests. Does not interpret the mission: that is a plain mapping here.
 from __future__ import annotations
 
 import base64
-import contextlib
 import hashlib
 import json
 import math
-import os
 import platform
 import reprlib
 from collections.abc import Callable, Mapping
@@ -24,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.core.errors import UserError
+from groundstation.core.own_files import refuse_links, write_whole
 
 FORMAT_VERSION = 1
 DRY_RUN_EPOCH_UNIX_US = 1_577_836_800_000_000
@@ -108,16 +107,9 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
     Raises:
         UserError: the file cannot be written; what was there before is left as it was.
     """
-    part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("w", encoding="utf-8") as file:
-            file.write(manifest.to_json())
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        write_whole(path, manifest.to_json().encode("utf-8"))
     except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
         raise UserError(
             f"{path}: cannot write the manifest: {error.strerror or error}; give a folder that can be written to"
         ) from error
@@ -194,6 +186,8 @@ def claim_log(log: Path, replaceable: Callable[[Manifest], bool]) -> None:
     """
     if log.suffix != ".tlog":
         raise UserError(f"{log}: logs end in .tlog; call it {log.with_suffix('.tlog')}")
+    refuse_links(log, "the log")
+    refuse_links(manifest_path(log), "the manifest")
     if log.exists():
         there = manifest_beside(log)
         if there is None or not replaceable(there):

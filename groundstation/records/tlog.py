@@ -15,10 +15,11 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from groundstation.core.errors import UserError
 from groundstation.core.files import require_regular
+from groundstation.core.own_files import open_alone
 from groundstation.mavlink.codec import (
     MAGIC_V1,
     MAGIC_V2,
@@ -89,6 +90,56 @@ class Sink(Protocol):
         """Ends the file."""
 
 
+@runtime_checkable
+class Settling(Protocol):
+    """A file that is written by somebody else, later, and can be waited for."""
+
+    def settle(self) -> None:
+        """Waits, not for long, until what it was given is written; raises OSError when it is not."""
+
+
+class LogFile:
+    """A file of a log, locked and without buffers.
+
+    Args:
+        path: where it is.
+        descriptor: as ``own_files.open_alone`` opened it; it is emptied.
+    """
+
+    def __init__(self, path: Path, descriptor: int) -> None:
+        self.path = path
+        self.descriptor = descriptor
+        self._identity = os.fstat(descriptor)
+        os.ftruncate(descriptor, 0)
+
+    def write(self, data: bytes | memoryview, /) -> int:
+        """Writes as much as the system takes at once."""
+        return os.write(self.descriptor, data)
+
+    def flush(self) -> None:
+        """Raises when the file has lost its name: what is written to it then is gone when it is closed."""
+        try:
+            there = os.path.samestat(self.path.lstat(), self._identity)
+        except FileNotFoundError:
+            raise FileNotFoundError(0, "the file was deleted or moved while it was written") from None
+        if not there:
+            raise FileNotFoundError(0, "the file was replaced while it was written")
+
+    def close(self) -> None:
+        """Ends it, and its lock."""
+        os.close(self.descriptor)
+
+
+def opened(path: Path) -> Sink:
+    """A file for a log without a manifest; one that is there is replaced.
+
+    Raises:
+        UserError: it cannot be written by this program alone.
+    """
+    descriptor, _ = open_alone(path, "the log", new=False)
+    return LogFile(path, descriptor)
+
+
 class TlogWriter:
     """Records one flight.
 
@@ -96,7 +147,8 @@ class TlogWriter:
         problem: None while everything is recorded; after a write failed, one sentence. Nothing is recorded then.
 
     Args:
-        target: file to create (replaced when it exists), or an open binary file, which ``close`` closes.
+        target: file to create (replaced when it exists), or an open binary file, which ``close`` closes. See
+            ``recording`` for logs with a manifest.
         epoch_unix_us: unix time of t = 0, microseconds. Times given to the methods are monotonic ns; microseconds
             are kept, what is below is cut off.
         sysid: system id of the ground station; frames of this sender are told apart by direction.
@@ -114,10 +166,8 @@ class TlogWriter:
         sysid: int = GROUND_SYSID,
         compid: int = GROUND_COMPID,
     ) -> None:
-        self._file = _create(target) if isinstance(target, Path) else target
-        self._path = target if isinstance(target, Path) else None
-        self._identity = self._path.stat() if self._path is not None else os.stat_result((0,) * 10)
-        self._name = str(target) if isinstance(target, Path) else "log"
+        self._file = opened(target) if isinstance(target, Path) else target
+        self._name = str(getattr(self._file, "path", "log"))
         self._epoch_unix_us = epoch_unix_us
         self._sender = (sysid, compid)
         self._notes = Encoder(sysid, compid)
@@ -127,7 +177,7 @@ class TlogWriter:
         self._flushed_ns: int | None = None
         self._closed = False
         self.problem: str | None = None
-        if self._path is not None:  # a log that is cut off at once is a log all the same
+        if self._name != "log":  # a log that is cut off at once is a log all the same
             self._begin(0)
             self._flush()
 
@@ -198,8 +248,14 @@ class TlogWriter:
 
     def flush(self) -> None:
         """Writes what is held back, without waiting for the next second; ``problem`` tells whether that went well."""
-        if self._flushed_ns is not None:
-            self._flush()
+        if self._flushed_ns is None:
+            return
+        self._flush()
+        if self.problem is None and isinstance(self._file, Settling):
+            try:
+                self._file.settle()
+            except OSError as error:
+                self._fail(error)
 
     def close(self) -> None:
         """Writes what is left and closes the file; a second call does nothing."""
@@ -271,32 +327,13 @@ class TlogWriter:
                 taken = self._file.write(bytes(view))
                 view = view[len(view) if taken is None else taken :]
             self._file.flush()
-            if self._path is not None:
-                self._look_for(self._path)
         except OSError as error:
             self._fail(error)
         self._buffer = bytearray()
 
-    def _look_for(self, path: Path) -> None:
-        """Raises when the file has lost its name: what is written to it then is gone when it is closed."""
-        try:
-            there = os.path.samestat(path.stat(), self._identity)
-        except FileNotFoundError:
-            raise FileNotFoundError(0, "the file was deleted or moved while it was written") from None
-        if not there:
-            raise FileNotFoundError(0, "the file was replaced while it was written")
-
     def _fail(self, error: OSError) -> None:
         reason = error.strerror or str(error)
         self.problem = f"{self._name}: recording stopped: {reason}"
-
-
-def _create(path: Path) -> Sink:
-    try:
-        return path.open("wb", buffering=0)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise UserError(f"{path}: cannot create the log: {reason}; give a file that can be written") from error
 
 
 class TlogReader:

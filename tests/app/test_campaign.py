@@ -405,12 +405,12 @@ def test_a_disk_that_is_full_when_the_table_is_made_loses_nothing(
     there: list[Path] = []
 
     def sync(number: int) -> None:
-        there.extend(table.folder.glob(".*.new"))
-        if there[-1].name == f".{full}.new":
+        there.extend(table.folder.glob(".*.part"))
+        if there[-1].name == f".{full}.part":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patched:
-        patched.setattr("groundstation.app.campaign.table.os.fsync", sync)
+        patched.setattr("groundstation.core.own_files.os.fsync", sync)
         with pytest.raises(UserError, match=r"No space left on device; all rows are in .*: make room, then --resume"):
             table.merge()
     assert there

@@ -15,7 +15,7 @@ from groundstation.app.emulator import world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
 from groundstation.mission.runner import Phase, Runner
-from groundstation.records import tlog
+from groundstation.records import recording
 from groundstation.records.tlog import TlogWriter
 from sitl.world import World
 from tests.app.commands import gs
@@ -95,7 +95,7 @@ def test_the_command_says_that_nothing_was_armed_and_that_the_log_is_not_complet
 ) -> None:
     disk = FillingDisk()
     disk.full = True
-    monkeypatch.setattr(tlog, "_create", lambda path: path.touch() or disk)
+    monkeypatch.setattr(recording, "LogFile", lambda path, descriptor: disk)
     arguments = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--log", str(tmp_path / "a.tlog"), "--json"]
     code, out, err = gs(arguments, monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])

@@ -38,7 +38,7 @@ from groundstation.records.manifest import (
     versions,
     write_manifest,
 )
-from groundstation.records.tlog import TlogWriter
+from groundstation.records.recording import recording
 from sitl.faults import FaultError
 from sitl.world import World, WorldConfig
 
@@ -167,8 +167,7 @@ class _Flown:
             writer = None
             gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
             if log is not None:
-                write_manifest(manifest_path(log), manifest)
-                writer = stack.enter_context(TlogWriter(log, manifest.epoch_unix_us))
+                writer = stack.enter_context(recording(log, manifest, replace=True))
             runner = Runner(plan, 0)
             try:
                 fly_virtual(

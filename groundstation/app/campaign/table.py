@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from groundstation.core.errors import UserError
+from groundstation.core.own_files import write_whole
 
 _TEXT, _REAL, _WHOLE, _YES = pa.string(), pa.float64(), pa.int64(), pa.bool_()
 SCHEMA = pa.schema(
@@ -100,7 +99,7 @@ class Table:
             self._parts.mkdir(parents=True, exist_ok=True)
             if self.runs_path.exists() or self._part_paths():
                 self._check(identity, resume=resume)
-            self._replace(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
+            write_whole(self._identity_path, (json.dumps(dict(identity), indent=1) + "\n").encode())
         except OSError as error:
             raise UserError(
                 f"{self.folder}: cannot be written: {error.strerror or error}; give another folder"
@@ -194,22 +193,7 @@ class Table:
     def _write(self, path: Path, table: pa.Table) -> None:
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd")
-        self._replace(path, sink.getvalue().to_pybytes())
-
-    @staticmethod
-    def _replace(path: Path, data: bytes) -> None:
-        """Writes a file so that there is always a whole one, also after a power cut."""
-        new = path.with_name(f".{path.name}.new")
-        try:
-            with new.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(path)
-        except OSError:
-            with suppress(OSError):
-                new.unlink(missing_ok=True)  # half a file on a full disk is only in the way
-            raise
+        write_whole(path, sink.getvalue().to_pybytes())
 
 
 def _read(path: Path, schema: pa.Schema, columns: list[str] | None) -> list[dict[str, Any]]:

@@ -28,6 +28,7 @@ from groundstation.app.commands.fly import JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.core.errors import CheckFailed, MissionFailed, UserError
+from groundstation.core.own_files import alone_in
 from groundstation.records.manifest import claim_log, versions
 
 _FLUSH_ROWS, _FLUSH_S = 50, 2.0
@@ -71,61 +72,67 @@ def campaign(
     if out_dir is None or log is not None:
         raise UserError("-o DIR is needed for the table" if out_dir is None else "--log goes with --only")
     count = runs or varied.spec.runs or len(varied.cells)
-    table = Table(out_dir)
-    there = table.open(
-        {
-            "mission": str(path),
-            "vary": varied.source,
-            "seed": seed,
-            "runs": count,
-            "fingerprint": cases.fingerprint(),
-            "versions": versions(),
-        },
-        resume=resume,
-    )
-    todo = [run for run in range(count) if run not in there]
-    _announce(out, varied, count, len(todo))
-    interrupted = Interrupted()
+    with alone_in(out_dir, "the campaign"):
+        table = Table(out_dir)
+        there = table.open(
+            {
+                "mission": str(path),
+                "vary": varied.source,
+                "seed": seed,
+                "runs": count,
+                "fingerprint": cases.fingerprint(),
+                "versions": versions(),
+            },
+            resume=resume,
+        )
+        todo = [run for run in range(count) if run not in there]
+        _announce(out, varied, count, len(todo))
+        interrupted = Interrupted()
 
-    def command(run: int) -> str:
-        parts = ["gs", "campaign", "--seed", str(seed)]
-        parts += ["--mission", str(mission)] if mission is not None else []
-        parts += ["--vary", str(vary)] if vary is not None else []
-        parts += [part for change in changes or () for part in ("--set", change)]
-        return shlex.join([*parts, "--only", str(run), "--log", f"run-{run}.tlog"])
+        def command(run: int) -> str:
+            parts = ["gs", "campaign", "--seed", str(seed)]
+            parts += ["--mission", str(mission)] if mission is not None else []
+            parts += ["--vary", str(vary)] if vary is not None else []
+            parts += [part for change in changes or () for part in ("--set", change)]
+            return shlex.join([*parts, "--only", str(run), "--log", f"run-{run}.tlog"])
 
-    lost: list[Lost] = []
-    with ExitStack() as deaf:  # from the first run on until the summary is written Ctrl-C is only taken note of
-        if todo:
-            lost = _fly_all(
-                out,
-                cases,
-                todo,
-                table,
-                interrupted=interrupted,
-                deaf=deaf,
-                scheduler=scheduler,
-                workers=workers,
-                done=count - len(todo),
-            )
-        else:
-            deaf.enter_context(interrupted.listening())
-        rows = [row for row in table.merge() if row["run"] < count]
-        stopped = interrupted.asked and len(rows) + len(lost) < count
-        values = summarise(rows, [cell.name for cell in varied.cells], command)
-        values |= {"table": str(table.runs_path), "interrupted": stopped, "not_flown": count - len(rows), "seed": seed}
-        title = f"{path.stem}: {len(rows)} runs"
-        write_summary(out_dir, title if len(rows) == count else f"{title} of {count}", rows, values)
-    _tell(out, values, out_dir)
-    wanting = missed(values, varied.spec.expect)
-    values["missed"] = wanting
-    out.result(values)
-    if stopped:
-        wanting = [f"stopped after {len(rows)} of {count} runs; go on with --resume"]
-    elif lost:
-        wanting = [_lost(lost, count), *wanting]
-    if wanting:
-        raise MissionFailed("; ".join(wanting))
+        lost: list[Lost] = []
+        with ExitStack() as deaf:  # from the first run on until the summary is written Ctrl-C is only taken note of
+            if todo:
+                lost = _fly_all(
+                    out,
+                    cases,
+                    todo,
+                    table,
+                    interrupted=interrupted,
+                    deaf=deaf,
+                    scheduler=scheduler,
+                    workers=workers,
+                    done=count - len(todo),
+                )
+            else:
+                deaf.enter_context(interrupted.listening())
+            rows = [row for row in table.merge() if row["run"] < count]
+            stopped = interrupted.asked and len(rows) + len(lost) < count
+            values = summarise(rows, [cell.name for cell in varied.cells], command)
+            values |= {
+                "table": str(table.runs_path),
+                "interrupted": stopped,
+                "not_flown": count - len(rows),
+                "seed": seed,
+            }
+            title = f"{path.stem}: {len(rows)} runs"
+            write_summary(out_dir, title if len(rows) == count else f"{title} of {count}", rows, values)
+        _tell(out, values, out_dir)
+        wanting = missed(values, varied.spec.expect)
+        values["missed"] = wanting
+        out.result(values)
+        if stopped:
+            wanting = [f"stopped after {len(rows)} of {count} runs; go on with --resume"]
+        elif lost:
+            wanting = [_lost(lost, count), *wanting]
+        if wanting:
+            raise MissionFailed("; ".join(wanting))
 
 
 def _mission(mission: Path | None, varied: Vary) -> Path:

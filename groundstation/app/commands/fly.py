@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,6 +26,7 @@ from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate, open_gate
+from groundstation.app.steady_file import Disk
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 from groundstation.links.opening import open_link
 from groundstation.mission.plan.plan import MissionPlan, load_mission, read_spec
@@ -38,7 +39,7 @@ from groundstation.records.manifest import (
     versions,
     write_manifest,
 )
-from groundstation.records.tlog import TlogWriter
+from groundstation.records.recording import recording
 from sitl.faults import Fault
 from sitl.world import World
 
@@ -205,7 +206,7 @@ def _dry_run(
     meter = TruthMeter(world)
     manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
     gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
-    with _recording(log_path, manifest, plan) as log:
+    with recording(log_path, manifest, replace=True) as log:
         session = Session(Runner(plan, 0), log, gate)
         interrupts = Interrupts()
         with ExitStack() as stack:
@@ -283,9 +284,11 @@ def _real_flight(
         if gate is not None:
             stack.callback(gate.close)
         manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False, take_over=take_over)
-        log = None
+        log, disk = None, Disk()
         try:
-            log = stack.enter_context(_recording(log_path, manifest, plan))
+            log = stack.enter_context(
+                recording(log_path, manifest, replace=emulated_seed is not None, through=disk.through)
+            )
         except UserError as error:
             if not take_over:  # vehicles in the air wait for no disk
                 raise
@@ -301,7 +304,7 @@ def _real_flight(
                 links,
                 clock,
                 period_ns=_period_ns(plan),
-                watchers=(display,) if meter is None else (display, meter),
+                watchers=(display, disk, *(() if meter is None else (meter,))),
                 interrupts=interrupts,
                 controls=controls,
             )
@@ -331,14 +334,6 @@ def _manifest(
         take_over=take_over,
         gains_npz=plan.gains_npz,
     )
-
-
-@contextmanager
-def _recording(log_path: Path, manifest: Manifest, plan: MissionPlan) -> Iterator[TlogWriter]:
-    """Opens the log with its manifest, so that a flight that ends badly leaves both."""
-    write_manifest(manifest_path(log_path), manifest)
-    with TlogWriter(log_path, manifest.epoch_unix_us) as log:
-        yield log
 
 
 def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any]:
