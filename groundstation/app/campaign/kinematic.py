@@ -16,7 +16,6 @@ from groundstation.core.types import FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide, Poses
 from groundstation.mission.ground.failsafe import first_roles
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan, plan_from_record
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures
@@ -69,7 +68,7 @@ def kinematic_time_to_form_s(case: Case) -> float:
     flight.next_step(now_ns, Poses(pos_ned_m, vel_ned_m_s, level, nobody))
     while True:
         tick = flight.step(now_ns, Poses(pos_ned_m, vel_ned_m_s, level, nobody))
-        if math.isfinite(figures.time_to_form_s) or tick.give_up or tick.enter is Phase.RETURN:
+        if math.isfinite(figures.time_to_form_s) or tick.give_up or tick.follows == "return":
             return figures.time_to_form_s
         vel_ned_m_s = tick.vel_ned_m_s
         pos_ned_m = pos_ned_m + vel_ned_m_s * (period_ns / _SECOND_NS)

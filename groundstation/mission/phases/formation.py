@@ -11,16 +11,16 @@ from groundstation.mission.phases.table import Event
 from groundstation.mission.team import PAD_TOLERANCE_M
 
 _EVENTS = {
-    Phase.FORM: Event.NEXT_FORM,
-    Phase.HOLD: Event.NEXT_HOLD,
-    Phase.MOVE: Event.NEXT_MOVE,
-    Phase.RETURN: Event.STEPS_DONE,
+    "form": Event.NEXT_FORM,
+    "hold": Event.NEXT_HOLD,
+    "move": Event.NEXT_MOVE,
+    "return": Event.STEPS_DONE,
 }
 
 
-def event_of(phase: Phase) -> Event:
-    """What it is called that this phase is the next of the mission."""
-    return _EVENTS[phase]
+def event_of(follows: str) -> Event:
+    """What it is called that a phase of this name is the next of the mission."""
+    return _EVENTS[follows]
 
 
 class FormationPhase(PhaseState):
@@ -44,8 +44,8 @@ class FormationPhase(PhaseState):
         if tick.give_up:
             team.verdict.abort(tick.give_up)
             event = Event.GIVE_UP
-        elif tick.enter is not None:
-            event = event_of(tick.enter)
+        elif tick.follows is not None:
+            event = event_of(tick.follows)
         out = ~team.roster.in_formation
         if not out.any():
             return Step(tick.vel_ned_m_s, event)
