@@ -10,9 +10,8 @@ from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.regions import SafetySphere
 from groundstation.core.types import FloatArray
 from groundstation.mission.blame import Blame
-from groundstation.mission.flight.guidance import Poses
-from groundstation.mission.monitors.board import Sight
-from groundstation.mission.monitors.findings import Findings
+from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.core.limits import Fence
-from groundstation.mission.flight.guidance import Poses
 from groundstation.mission.flight.landing import clear_spots
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.operator import OperatorCommand, Order, parse_command
 from groundstation.mission.phases.come_down import SilentPhase
 from groundstation.mission.phases.machine import Machine

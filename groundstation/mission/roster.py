@@ -45,8 +45,8 @@ class Duty(IntEnum):
     """Its motors are to stop; no longer ours otherwise."""
 
 
-class Roster:
-    """The duties of n vehicles.
+class Duties:
+    """The duties of n vehicles, and who counts for what; for those that only look.
 
     Args:
         by_command: those that climb by command, shape (n,).
@@ -62,8 +62,6 @@ class Roster:
         self._told_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._killed_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._place_ned_m: FloatArray = places_ned_m.copy()
-
-    # What is asked
 
     def duty(self, vehicle: int) -> Duty:
         """What one vehicle is to do."""
@@ -144,7 +142,9 @@ class Roster:
         """Where those that land here stay until they are told to, team frame, shape (n, 3)."""
         return _read_only(self._place_ned_m)
 
-    # What becomes of them
+
+class Roster(Duties):
+    """The duties of n vehicles, for those that say what becomes of whom."""
 
     def take(self, vehicle: int) -> None:
         """A take-over holds a vehicle from now on, to bring it home."""

@@ -15,13 +15,11 @@ from functools import partial
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Piece
 from groundstation.mavlink.station import Outgoing
-from groundstation.mavlink.vehicle import NEVER, Fleet
-from groundstation.mission.flight.guidance import Poses
-from groundstation.mission.ground.check_table import CheckRow
-from groundstation.mission.ground.failsafe import FailsafePlan
+from groundstation.mavlink.vehicle import NEVER
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.lookout import Lookout
 from groundstation.mission.orders import Orders
 from groundstation.mission.phases.machine import Machine
@@ -31,6 +29,7 @@ from groundstation.mission.phases.take_over import out_of_sight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.team import Team
 from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.told import Told
 from groundstation.mission.verdict import Figures, Note
 
 __all__ = ["AIRBORNE_PHASES", "FORMATION_PHASES", "Figures", "Note", "Phase", "Runner"]
@@ -39,7 +38,7 @@ _FAULTS_NOTED = 5
 _SIGHTLESS_NS = 2 * SECOND_NS  # so long everybody stands still where poses cannot be worked out
 
 
-class Runner:
+class Runner(Told):
     """One mission under way.
 
     Args:
@@ -63,13 +62,12 @@ class Runner:
         take_over: bool = False,
     ) -> None:
         self.plan = plan
-        self._team = Team(plan, start_ns, look_only=look_only, take_over=take_over)
+        team = Team(plan, start_ns, look_only=look_only, take_over=take_over)
         first = Phase.TAKEOVER if take_over else Phase.CONNECT
-        self._machine = Machine(self._team, start_ns, first, check_only=check_only)
+        super().__init__(team, Machine(team, start_ns, first, check_only=check_only))
         self._orders = Orders(self._team, self._machine)
         self._lookout = Lookout(self._team, self._machine)
         self._period_ns = round(SECOND_NS / plan.spec.rate_hz)
-        self._last_step_ns = NEVER
         self._sightless_since_ns = NEVER
         self._faults = 0
         self._lines: list[str] = []
@@ -98,80 +96,6 @@ class Runner:
         A line that is not understood, or that the phase refuses, changes nothing and is answered by a note.
         """
         self._lines.append(command)
-
-    # What it is about
-
-    @property
-    def phase(self) -> Phase:
-        """What the team is doing."""
-        return self._machine.phase
-
-    @property
-    def outcome(self) -> str | None:
-        """None until done; then completed, aborted or refused."""
-        return self._team.verdict.outcome
-
-    @property
-    def reason(self) -> str:
-        """Why it was aborted or refused, "" otherwise."""
-        return self._team.verdict.reason
-
-    @property
-    def problems(self) -> list[str]:
-        """What stands between the team and arming, a line for each."""
-        return self._team.verdict.problems
-
-    @property
-    def figures(self) -> Figures:
-        """What the mission came to, see ``Figures``."""
-        return self._team.figures
-
-    @property
-    def fleet(self) -> Fleet:
-        """State of the vehicles."""
-        return self._team.fleet
-
-    @property
-    def done(self) -> bool:
-        """Whether there is nothing left to do."""
-        return self.phase is Phase.DONE
-
-    @property
-    def role_of_agent(self) -> IntArray:
-        """Role per vehicle, shape (n,)."""
-        return self._team.formation.role_of_agent
-
-    def formation_error_m(self, pos_m: FloatArray) -> float:
-        """Largest |d_ij - d*_ij| of the formation under way, of positions in any one frame, shape (n, 3)."""
-        return self._team.formation.error_m(pos_m)
-
-    @property
-    def setpoints_sent(self) -> int:
-        """Number of velocity setpoints sent so far."""
-        return self._team.station.setpoints_sent
-
-    @property
-    def local_origins_enu_m(self) -> FloatArray:
-        """Where the vehicles' own local frames begin in the team frame, see ``TeamFrame.local_origins_enu_m``."""
-        return self._team.frame.local_origins_enu_m()
-
-    @property
-    def airborne(self) -> BoolArray:
-        """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
-        return self._team.airborne(self._last_step_ns)
-
-    def check_rows(self) -> list[CheckRow]:
-        """What preflight found, a row for each vehicle."""
-        return self._team.preflight.rows(self.problems, self._last_step_ns)
-
-    @property
-    def failsafe(self) -> FailsafePlan:
-        """What the team does when the ground station is gone."""
-        return self._team.preflight.checks.failsafe
-
-    def take_notes(self) -> list[Note]:
-        """Hands out what happened since the last call."""
-        return self._team.verdict.take_notes()
 
     # The tick
 

@@ -12,14 +12,15 @@ from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.apart import Apart
 from groundstation.mission.flight.formation_flight import FormationFlight
-from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.killing import Killing
 from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.failsafe import OutOfTurn
 from groundstation.mission.ground.preflight import Preflight
-from groundstation.mission.monitors.board import Monitor
+from groundstation.mission.monitors.board import Board
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures, Verdict
@@ -69,22 +70,27 @@ class Team:
 
     def __init__(self, plan: MissionPlan, start_ns: int, *, look_only: bool, take_over: bool) -> None:
         self.plan = plan
-        self.figures, self.verdict, self.words = Figures(), Verdict(), Words()
+        self.verdict, self.words = Verdict(), Words()
         fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
         greeted = [(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer]
         self.station = Station(fleet, start_ns, greeted=greeted)
         self.frame = TeamFrame(plan)
         self.preflight = Preflight(plan, self.station, self.frame, look_only=look_only)
         self.roster = enlist(plan, untaken=take_over)
-        self.board = Monitor(plan)
+        self.board = Board(plan)
         self.guide = Guide(plan)
-        self.formation = FormationFlight(plan, self.roster, self.guide, self.figures, self.verdict.note)
+        self.formation = FormationFlight(plan, self.roster, self.guide, self.verdict.figures, self.verdict.note)
         commands = self.station.commands
         self.landing = Landing(plan, fleet, commands, self.roster, self.guide.beside_m)
         self.killing = Killing(plan, fleet, commands, self.roster)
         self.apart = Apart(plan, self.roster, self.landing)
         self.stance = Stance(plan.size)
         self.turns = OutOfTurn(self.preflight.checks.failsafe, fleet.sysid.tolist())
+
+    @property
+    def figures(self) -> Figures:
+        """What the mission comes to, see ``Figures``."""
+        return self.verdict.figures
 
     @property
     def fleet(self) -> Fleet:

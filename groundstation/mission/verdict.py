@@ -55,12 +55,14 @@ class Verdict:
     Attributes:
         outcome: None until done; then completed, aborted or refused.
         reason: why it was aborted or refused, "" otherwise.
+        figures: see ``Figures``.
         problems: what stands between the team and arming, a line for each.
     """
 
     def __init__(self) -> None:
         self.outcome: str | None = None
         self.reason = ""
+        self.figures = Figures()
         self.problems: list[str] = []
         self._notes: list[Note] = []
 

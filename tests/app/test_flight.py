@@ -17,8 +17,10 @@ from groundstation.app.session import Session
 from groundstation.core.formation import Formation
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_id
-from groundstation.mission.flight.guidance import Guide, Poses, Setpoints
-from groundstation.mission.monitors.board import Findings, Monitor, Sight
+from groundstation.mission.flight.guidance import Guide, Setpoints
+from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.board import Board
+from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.runner import Phase, Runner
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, cube8, pair
@@ -330,15 +332,15 @@ def test_a_takeoff_that_takes_too_long_is_given_up() -> None:
 
 
 def test_a_stream_that_would_flicker_is_ended_and_the_failsafe_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    sound = Monitor.look
+    sound = Board.look
 
-    def look(self: Monitor, sight: Sight) -> Findings:
+    def look(self: Board, sight: Sight) -> Findings:
         findings = sound(self, sight)
         if sight.now_ns > 15 * SECOND_NS:
             findings.silence = "setpoints end, made up"
         return findings
 
-    monkeypatch.setattr(Monitor, "look", look)
+    monkeypatch.setattr(Board, "look", look)
     flight = Flight(pair("failsafe.hold_s=10"), limit_s=400.0)
     assert flight.phase_seen[-2:] == [Phase.SILENT, Phase.DONE]
     assert flight.runner.reason.startswith("setpoints end, made up")
@@ -348,10 +350,10 @@ def test_a_stream_that_would_flicker_is_ended_and_the_failsafe_takes_over(monkey
 @pytest.mark.parametrize("broken", ["trusted", "look", "obstacles"])
 def test_a_fault_in_the_monitors_brings_everybody_home_and_down(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the middle of forming on they never work again: landing must not depend on them."""
-    sound = getattr(Monitor, broken)
+    sound = getattr(Board, broken)
     begun: list[int] = []
 
-    def faulty(self: Monitor, *rest: object) -> object:
+    def faulty(self: Board, *rest: object) -> object:
         if begun:
             raise FloatingPointError("made up")
         return sound(self, *rest)
@@ -361,7 +363,7 @@ def test_a_fault_in_the_monitors_brings_everybody_home_and_down(broken: str, mon
             begun.append(flight.now_ns)
         return False
 
-    monkeypatch.setattr(Monitor, broken, faulty)
+    monkeypatch.setattr(Board, broken, faulty)
     flight = Flight(cube8(), interrupt_when=look)
     assert flight.runner.outcome == "aborted"
     assert flight.runner.reason == "fault in the ground station, FloatingPointError: made up"

@@ -8,7 +8,8 @@ import pytest
 from groundstation.app.resources import packaged_configs
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
-from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.roster import enlist

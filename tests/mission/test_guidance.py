@@ -9,7 +9,8 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.control import task_for_roles
-from groundstation.mission.flight.guidance import Course, Guide, Poses
+from groundstation.mission.flight.guidance import Course, Guide
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import load_mission
 
 PLAN = load_mission(packaged_configs() / "missions" / "cube8.yaml")

@@ -11,8 +11,9 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core import frames
 from groundstation.mavlink.commands import Command, CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
-from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.roster import enlist
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from groundstation.app.resources import packaged_configs
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, NEVER, Fleet
-from groundstation.mission.flight.guidance import Poses
-from groundstation.mission.monitors.board import Monitor
+from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.board import Board
 from groundstation.mission.monitors.findings import Findings, Lasting, Sight
 from groundstation.mission.monitors.flight import bounded_growth_m
 from groundstation.mission.monitors.positions import PoseJump
@@ -38,7 +38,7 @@ class Scene:
     def __init__(self, *changes: str) -> None:
         self.plan = _plan(*changes)
         n = self.plan.size
-        self.monitor = Monitor(self.plan)
+        self.monitor = Board(self.plan)
         self.fleet = Fleet([vehicle.id for vehicle in self.plan.spec.vehicles], self.plan.link_of_vehicle)
         self.fleet.armed[:] = True
         self.fleet.custom_mode[:] = OFFBOARD

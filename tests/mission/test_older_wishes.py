@@ -12,8 +12,9 @@ from groundstation.mavlink.codec import Frame, Splitters, decode
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.climb import Climb
-from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.arming import Arming
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan

@@ -23,7 +23,8 @@ from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
-from groundstation.mission.monitors.board import Monitor, Sight
+from groundstation.mission.monitors.board import Board
+from groundstation.mission.monitors.findings import Sight
 from groundstation.mission.plan.plan import MissionPlan, plan_from_record
 from groundstation.records.manifest import Manifest, read_manifest
 from groundstation.records.notes import Event, Received, Record, Sent, Tick
@@ -198,7 +199,7 @@ def listen(recording: Recording) -> Belief:
     ids = [vehicle.id for vehicle in plan.spec.vehicles]
     fleet = Fleet(ids, plan.link_of_vehicle)
     station = Station(fleet, 0)
-    frame, monitor = TeamFrame(plan), Monitor(plan)
+    frame, monitor = TeamFrame(plan), Board(plan)
     preflight = Preflight(plan, station, frame, look_only=True)
     never = np.full(n, -1, dtype=np.int64)
     ours, nobody = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)

@@ -14,7 +14,8 @@ import numpy as np
 from groundstation.app.campaign.cases import Case
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
-from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.plan.plan import MissionPlan, plan_from_record
 from groundstation.mission.roster import enlist

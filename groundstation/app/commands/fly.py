@@ -17,7 +17,7 @@ from rich.text import Text
 
 from groundstation.app.check_screen import rows_as_values, show_rows
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
-from groundstation.app.keys import Keyboard
+from groundstation.app.keyboard import Keyboard
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
 from groundstation.app.order_client import runtime_folder
 from groundstation.app.order_socket import OrderSocket

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.core.types import FloatArray
-from groundstation.mission.flight.guidance import Guide, Poses
+from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
 from groundstation.mission.timing import HeldEach

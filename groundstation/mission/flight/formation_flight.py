@@ -19,7 +19,8 @@ from groundstation.core.metrics import formation_error_m, free_scale_error_m, ve
 from groundstation.core.places import own_places
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mission.flight.guidance import Course, Guide, Poses
+from groundstation.mission.flight.guidance import Course, Guide
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.steps import Now, StepFlight, step_flight
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.plan import MissionPlan

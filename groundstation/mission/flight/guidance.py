@@ -6,8 +6,7 @@ agent's own view. Keeps no state but the last setpoints, whose slope is limited.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -24,50 +23,16 @@ from groundstation.core.near import near_views
 from groundstation.core.places import Places, own_places
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.plan.stages import Stage
 
 _T = TypeVar("_T", bound=np.generic)
 
-_NOBODY: FloatArray = np.zeros(0)
-"""Stands for zeros of whatever size is right."""
 _MANY = 64
 """From so many vehicles on it is quicker to look for those near each than to look at all pairs."""
 _LEVEL_MIN_M = 1e-3  # nearer than that there is no direction to leave in
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Poses of the team at one instant.
-
-    Attributes:
-        pos_team_ned_m: shape (n, 3); NaN where never known.
-        vel_ned_m_s: shape (n, 3).
-        quat_ned_from_frd: shape (n, 4).
-        sinking: not steered by us, or its position is lost: it may come down anywhere below, shape (n,).
-        extra_radius_m: what is added to r around a vehicle that nobody steers, so that the others do both halves of
-            every manoeuvre, shape (n,), >= 0; zero for those we steer. Zeros when left out.
-    """
-
-    pos_team_ned_m: FloatArray
-    vel_ned_m_s: FloatArray
-    quat_ned_from_frd: FloatArray
-    sinking: BoolArray
-    extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
-
-    @cached_property
-    def rot_ned_from_flu(self) -> FloatArray:
-        """Takes each vehicle's own tilted frame to NED, shape (n, 3, 3)."""
-        return frames.rot_ned_from_flu(self.quat_ned_from_frd)
-
-    def __post_init__(self) -> None:
-        """Fills in what was left out, and refuses radii of the wrong size."""
-        n = len(self.pos_team_ned_m)
-        if self.extra_radius_m is _NOBODY:
-            object.__setattr__(self, "extra_radius_m", np.zeros(n))
-        elif self.extra_radius_m.shape != (n,):
-            raise ValueError(f"poses: extra radii have shape {self.extra_radius_m.shape}, expected ({n},)")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan

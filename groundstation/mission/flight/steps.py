@@ -15,7 +15,7 @@ from groundstation.core.motion import Motion, MovePlan
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.free_size import Sizes, missed, sizes_of, stands_at
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.schema import FormStep, HoldStep, MoveStep, Step
 from groundstation.mission.timing import SECOND_NS, Held

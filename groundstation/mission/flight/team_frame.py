@@ -16,7 +16,7 @@ import pymap3d
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000

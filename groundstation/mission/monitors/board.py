@@ -13,15 +13,13 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
-from groundstation.mission.flight.guidance import Poses
-from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Reaction, Sight, Watch
+from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
-
-__all__ = ["Findings", "Monitor", "Sight"]
 
 _FIRST_SHARE = 0.25  # of r: how much larger an obstacle is at once
 _CONSEQUENCES = {
@@ -36,7 +34,7 @@ _CONSEQUENCES = {
 _SEVERAL_LAND = "they land where they are when nobody is below"
 
 
-class Monitor:
+class Board:
     """Watches the vehicles in the air.
 
     Attributes:
@@ -48,7 +46,7 @@ class Monitor:
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self._modes, self._following = Modes(plan), Following(plan)
-        self._watches: tuple[Watch, ...] = (
+        self._monitors: tuple[Monitor, ...] = (
             self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
             BeyondFence(plan), self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
         )  # fmt: skip
@@ -85,8 +83,8 @@ class Monitor:
         findings = Findings()
         found: list[tuple[Finding, Reaction]] = []
         ours, lands = sight.ours.copy(), sight.lands_here.copy()
-        for watch in self._watches:
-            found += [(finding, self._take(finding, findings, sight)) for finding in watch.look(sight, ours)]
+        for monitor in self._monitors:
+            found += [(finding, self._take(finding, findings, sight)) for finding in monitor.look(sight, ours)]
             ours[findings.release] = False  # whoever is released in this tick is judged no more by the next monitor
         lands[findings.land] = True
         # Words come last: whether others are left to come back is known when everything is found.

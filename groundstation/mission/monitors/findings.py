@@ -90,7 +90,7 @@ class Sight:
     going_on: bool = False
 
 
-class Watch(Protocol):
+class Monitor(Protocol):
     """A monitor."""
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterable[Finding]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 

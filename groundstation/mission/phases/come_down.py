@@ -8,7 +8,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray
 from groundstation.mission.blame import HELP_IN_THE_AIR, still_flying
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.arming import Arming
 from groundstation.mission.phases.on_the_ground import ArmPhase
 from groundstation.mission.phases.phase import Phase

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.come_down import DonePhase, LandPhase, SilentPhase
 from groundstation.mission.phases.come_home import ReturnPhase
 from groundstation.mission.phases.formation import FormPhase, HoldPhase, MovePhase

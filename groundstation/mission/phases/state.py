@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import Outcome
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team

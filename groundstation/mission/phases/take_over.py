@@ -23,7 +23,7 @@ from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.plan.plan import MissionPlan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.mission.flight.climb import Climb
-from groundstation.mission.flight.guidance import Poses
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.formation import event_of
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step

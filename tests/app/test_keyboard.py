@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.app.emulator import world_config
-from groundstation.app.keys import HELP, Keyboard, KeyDialogue
+from groundstation.app.keyboard import HELP, Keyboard, KeyDialogue
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
 from groundstation.mission.operator import parse_command

@@ -1,0 +1,47 @@
+"""Where the team is at one instant, as values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from groundstation.core import frames
+from groundstation.core.types import BoolArray, FloatArray
+
+_NOBODY: FloatArray = np.zeros(0)
+"""Stands for zeros of whatever size is right."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of the team at one instant.
+
+    Attributes:
+        pos_team_ned_m: shape (n, 3); NaN where never known.
+        vel_ned_m_s: shape (n, 3).
+        quat_ned_from_frd: shape (n, 4).
+        sinking: not steered by us, or its position is lost: it may come down anywhere below, shape (n,).
+        extra_radius_m: what is added to r around a vehicle that nobody steers, so that the others do both halves of
+            every manoeuvre, shape (n,), >= 0; zero for those we steer. Zeros when left out.
+    """
+
+    pos_team_ned_m: FloatArray
+    vel_ned_m_s: FloatArray
+    quat_ned_from_frd: FloatArray
+    sinking: BoolArray
+    extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
+
+    @cached_property
+    def rot_ned_from_flu(self) -> FloatArray:
+        """Takes each vehicle's own tilted frame to NED, shape (n, 3, 3)."""
+        return frames.rot_ned_from_flu(self.quat_ned_from_frd)
+
+    def __post_init__(self) -> None:
+        """Fills in what was left out, and refuses radii of the wrong size."""
+        n = len(self.pos_team_ned_m)
+        if self.extra_radius_m is _NOBODY:
+            object.__setattr__(self, "extra_radius_m", np.zeros(n))
+        elif self.extra_radius_m.shape != (n,):
+            raise ValueError(f"poses: extra radii have shape {self.extra_radius_m.shape}, expected ({n},)")

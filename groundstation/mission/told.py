@@ -1,0 +1,97 @@
+"""What a flight tells whoever looks on: displays, logs, reports, the emulator's measurements."""
+
+from __future__ import annotations
+
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mission.ground.check_table import CheckRow
+from groundstation.mission.ground.failsafe import FailsafePlan
+from groundstation.mission.phases.machine import Machine
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.team import Team
+from groundstation.mission.verdict import Figures, Note
+
+
+class Told:
+    """The side of a mission that is read and not flown.
+
+    Args:
+        team: its vehicles.
+        machine: its phase.
+    """
+
+    def __init__(self, team: Team, machine: Machine) -> None:
+        self._team, self._machine = team, machine
+        self._last_step_ns = NEVER
+
+    @property
+    def phase(self) -> Phase:
+        """What the team is doing."""
+        return self._machine.phase
+
+    @property
+    def outcome(self) -> str | None:
+        """None until done; then completed, aborted or refused."""
+        return self._team.verdict.outcome
+
+    @property
+    def reason(self) -> str:
+        """Why it was aborted or refused, "" otherwise."""
+        return self._team.verdict.reason
+
+    @property
+    def problems(self) -> list[str]:
+        """What stands between the team and arming, a line for each."""
+        return self._team.verdict.problems
+
+    @property
+    def figures(self) -> Figures:
+        """What the mission came to, see ``Figures``."""
+        return self._team.figures
+
+    @property
+    def fleet(self) -> Fleet:
+        """State of the vehicles."""
+        return self._team.fleet
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.phase is Phase.DONE
+
+    @property
+    def role_of_agent(self) -> IntArray:
+        """Role per vehicle, shape (n,)."""
+        return self._team.formation.role_of_agent
+
+    def formation_error_m(self, pos_m: FloatArray) -> float:
+        """Largest |d_ij - d*_ij| of the formation under way, of positions in any one frame, shape (n, 3)."""
+        return self._team.formation.error_m(pos_m)
+
+    @property
+    def setpoints_sent(self) -> int:
+        """Number of velocity setpoints sent so far."""
+        return self._team.station.setpoints_sent
+
+    @property
+    def local_origins_enu_m(self) -> FloatArray:
+        """Where the vehicles' own local frames begin in the team frame, see ``TeamFrame.local_origins_enu_m``."""
+        return self._team.frame.local_origins_enu_m()
+
+    @property
+    def airborne(self) -> BoolArray:
+        """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
+        return self._team.airborne(self._last_step_ns)
+
+    def check_rows(self) -> list[CheckRow]:
+        """What preflight found, a row for each vehicle."""
+        return self._team.preflight.rows(self.problems, self._last_step_ns)
+
+    @property
+    def failsafe(self) -> FailsafePlan:
+        """What the team does when the ground station is gone."""
+        return self._team.preflight.checks.failsafe
+
+    def take_notes(self) -> list[Note]:
+        """Hands out what happened since the last call."""
+        return self._team.verdict.take_notes()
