@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from groundstation.app.picture_style import BLUE, INK, QUIET, VERMILION
+from groundstation.app.pictures import save_picture
 from groundstation.core.errors import UserError
 from groundstation.design.graphs import Suggestion
 
@@ -63,6 +64,6 @@ def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
     plane.set_ylim(bottom=0)
     plane.spines[["top", "right"]].set_visible(False)
     try:
-        figure.savefig(path, dpi=140)
+        save_picture(figure, path, 140)
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be written ({error}); choose another --picture, .png or .svg") from error

@@ -6,6 +6,7 @@ frame) is named as missing in the picture's place. matplotlib is loaded when a r
 
 from __future__ import annotations
 
+import contextlib
 import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE, html_page
+from groundstation.app.pictures import save_picture
 from groundstation.core.errors import UserError
+from groundstation.core.own_files import claim, write_whole
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.records.notes import Event, Operator
 from groundstation.records.replay import Flight, Phase
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 _NEIGHBOURS, _OTHERS = BLUE, ORANGE
 _MOST_INSTANTS = 3000
+_PAGE_LOOKED_AT = 1 << 20  # bytes of a page in which its pictures are named
 _STYLE: dict[Any, Any] = STYLE | {
     "font.size": 13.0,
     "axes.labelsize": 13.5,
@@ -59,12 +63,39 @@ class Picture:
     draw: Callable[[Figure, Flight], None]
 
 
+def claim_report(folder: Path, *, force: bool) -> bool:
+    """Makes sure that a report may be written into a folder.
+
+    Args:
+        folder: need not exist.
+        force: replace files of its names whatever they are.
+
+    Returns:
+        Whether an earlier report is replaced.
+
+    Raises:
+        UserError: files of its names are there that are of no report.
+    """
+    page = folder / "index.html"
+
+    def ours() -> bool:
+        with contextlib.suppress(OSError):
+            text = page.read_bytes()[:_PAGE_LOOKED_AT]
+            return text.startswith(b"<!doctype html>") and all(item.file.encode() in text for item in PICTURES)
+        return False
+
+    paths = (page, *(folder / item.file for item in PICTURES))
+    # each of them is judged before anything is written
+    replaced = [claim(path, "the report", "another folder with -o", ours=ours, force=force) for path in paths]
+    return any(replaced)
+
+
 def write_report(flight: Flight, folder: Path) -> list[Path]:
     """Draws all pictures and writes the page.
 
     Args:
         flight: as ``records.replay.load_flight`` reads it.
-        folder: created when missing; files of an earlier report are replaced.
+        folder: created when missing; files of an earlier report are replaced, see ``claim_report``.
 
     Returns:
         The files written, ``index.html`` first.
@@ -88,9 +119,9 @@ def write_report(flight: Flight, folder: Path) -> list[Path]:
                 )
                 FigureCanvasAgg(figure)
                 picture.draw(figure, flight)
-                figure.savefig(folder / picture.file, dpi=100)
+                save_picture(figure, folder / picture.file, 100)
             written.append(folder / picture.file)
-        page.write_text(to_html(flight), encoding="utf-8")
+        write_whole(page, to_html(flight).encode("utf-8"), durable=False)
     except OSError as error:
         raise UserError(
             f"{error.filename or folder}: cannot write the report: {error.strerror or error}; give another folder "

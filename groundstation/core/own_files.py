@@ -12,7 +12,7 @@ import errno
 import fcntl
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from groundstation.core.errors import UserError
@@ -49,6 +49,31 @@ def refuse_links(path: Path, what: str) -> None:
             f"{path}: has {found.st_nlink} names (hard links), limit 1, and {what} would change them all; name another"
             " file"
         )
+
+
+def claim(path: Path, what: str, remedy: str, *, ours: Callable[[], bool], force: bool | None) -> bool:
+    """Makes sure that a command may write a file: none replaces what it did not make, unless it is told to.
+
+    Args:
+        path: the file.
+        what: it is, for messages: "the page".
+        remedy: how another place is named, for messages: "another folder with -o".
+        ours: whether the file that is there was made by the same command and can be made again; asked where one is.
+        force: replace it whatever it is; None where the command has no --force.
+
+    Returns:
+        Whether a file that is there will be replaced.
+
+    Raises:
+        UserError: a link, or a file that is to be kept.
+    """
+    refuse_links(path, what)
+    if not path.exists():
+        return False
+    if not force and not ours():
+        last = "move it away" if force is None else "move it away, or replace it with --force"
+        raise UserError(f"{path}: exists, and is not what this command would make again; name {remedy}, {last}")
+    return True
 
 
 def open_alone(path: Path, what: str, *, new: bool) -> tuple[int, bool]:

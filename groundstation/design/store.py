@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import reprlib
 import struct
 import zipfile
@@ -25,6 +24,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat,
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml
 from groundstation.core.formation import Formation, Gains
+from groundstation.core.own_files import write_whole
 from groundstation.core.types import ComplexArray, FloatArray
 from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certificate, certify, faults
 from groundstation.design.problem import SPECTRAL_NORM, Matrix
@@ -217,20 +217,19 @@ def save_gains(
         "method": np.array(method),
         "version": np.array(FILE_VERSION),
     }
-    partial = path.with_name(f".{path.name}.partial")
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        for name, values in members.items():
+            info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            info.create_system, info.external_attr = 3, 0o644 << 16
+            info.compress_type = zipfile.ZIP_DEFLATED
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.asarray(values, order="C"), version=(1, 0), allow_pickle=False)
+            archive.writestr(info, buffer.getvalue())
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-            for name, values in members.items():
-                info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
-                info.create_system, info.external_attr = 3, 0o644 << 16
-                info.compress_type = zipfile.ZIP_DEFLATED
-                buffer = io.BytesIO()
-                np.lib.format.write_array(buffer, np.asarray(values, order="C"), version=(1, 0), allow_pickle=False)
-                archive.writestr(info, buffer.getvalue())
-        os.replace(partial, path)
+        write_whole(path, content.getvalue(), durable=False)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise UserError(f"{path}: cannot be written ({error.strerror}); choose another place with -o") from error
 
 
@@ -353,7 +352,7 @@ def check_gains(stored: StoredGains, formation: Formation, spectral_norm: float 
         UserError: file and reason.
     """
     where = stored.path
-    mend = f"make new ones with: gs design {formation.name}.yaml -o {where.name}"
+    mend = f"make new ones with: gs design {formation.name}.yaml -o NEW.npz, and name that file"
     if len(stored.points_enu_m) != formation.size:
         raise UserError(
             f"{where}: gains of another formation: they are for {len(stored.points_enu_m)} agents, "

@@ -28,7 +28,8 @@ from tests.app.commands import gs
 EPOCH_US = 1_577_836_800_000_000
 MANIFEST = Manifest(mission={"name": "a"}, epoch_unix_us=EPOCH_US, dry_run=True)
 PRECIOUS = b"somebody else's bytes"
-FLY = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--set", "steps.1.hold.seconds=0.1", "--log"]
+FLY = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--set", "limits.preflight_s=0.2", "--log"]
+"""Refused with code 3 before the vehicles are ready: a dry run of a moment, with its log."""
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_nothing_is_written_through_a_link(
     code, _, err = gs([*FLY, str(tmp_path / "a.tlog")], monkeypatch, capsys)
     words = " ".join(err.split())
     if "part" in what:  # the rest of a killed program, or somebody's trap: it goes, and where it leads stays
-        assert code == 0
+        assert code == 3
     else:
         assert code == 2
         assert f"is a symbolic link to {precious}" in words
@@ -134,7 +135,7 @@ def test_two_programs_write_no_one_log_and_a_killed_one_leaves_no_lock(
         assert len(list(read_tlog(path))) == 1  # reading is free
         first.send_signal(signal.SIGKILL)
         first.wait()
-    assert gs([*FLY, str(path)], monkeypatch, capsys)[0] == 0
+    assert gs([*FLY, str(path)], monkeypatch, capsys)[0] == 3
     with alone_in(tmp_path / "campaign", "it"):
         pass
 

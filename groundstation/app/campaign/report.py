@@ -16,7 +16,9 @@ import numpy as np
 from groundstation.app.campaign.run import Row
 from groundstation.app.output import to_json
 from groundstation.app.picture_style import BLUE, GREEN, ORANGE, RED, SERIES, STYLE, html_page
+from groundstation.app.pictures import save_picture
 from groundstation.core.errors import UserError
+from groundstation.core.own_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +53,15 @@ _COLUMNS = (
 )
 
 
+_PICTURES = {
+    "success.png": "Success, formed and safe, with 95 % intervals",
+    "time_to_form.png": "Time to form",
+    "smallest_distance.png": "Smallest true distance against r",
+}
+FILES = ("index.html", "summary.json", "summary.md", *_PICTURES)
+"""Names of the files that a campaign's summary is made of."""
+
+
 def write_summary(folder: Path, title: str, rows: Sequence[Row], values: Mapping[str, Any]) -> None:
     """Writes all files of the summary; those of an earlier one are replaced.
 
@@ -64,10 +75,10 @@ def write_summary(folder: Path, title: str, rows: Sequence[Row], values: Mapping
         UserError: a file cannot be written.
     """
     try:
-        (folder / "summary.json").write_text(to_json(values) + "\n", encoding="utf-8")
-        (folder / "summary.md").write_text(to_markdown(values), encoding="utf-8")
+        write_whole(folder / "summary.json", (to_json(values) + "\n").encode("utf-8"))
+        write_whole(folder / "summary.md", to_markdown(values).encode("utf-8"))
         pictures = draw(folder, rows, values) if rows else []
-        (folder / "index.html").write_text(_page(title, values, pictures), encoding="utf-8")
+        write_whole(folder / "index.html", _page(title, values, pictures).encode("utf-8"))
     except OSError as error:
         raise UserError(
             f"{error.filename or folder}: cannot write the summary: {error.strerror or error}; "
@@ -163,18 +174,15 @@ def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[t
     ]
     groups = groups or [(list(rows), "all")]
     out = []
-    for file, heading, drawing in (
-        ("success.png", "Success, formed and safe, with 95 % intervals", _draw_rates),
-        ("time_to_form.png", "Time to form", _draw_times),
-        ("smallest_distance.png", "Smallest true distance against r", _draw_distances),
-    ):
+    drawings = (_draw_rates, _draw_times, _draw_distances)
+    for (file, heading), drawing in zip(_PICTURES.items(), drawings, strict=True):
         with mpl.rc_context(STYLE):
             tall = file == "success.png"
             height = 1.6 + 0.42 * (min(len(groups), _CELLS_MAX) + 1) if tall else 5.2
             figure = Figure(figsize=(11.0, max(height, 3.0)), dpi=100, layout="constrained")
             FigureCanvasAgg(figure)
             drawing(figure.add_subplot(), groups, values)
-            figure.savefig(folder / file)
+            save_picture(figure, folder / file, 100)
         out.append((file, heading))
     return out
 

@@ -82,6 +82,10 @@ class Table:
         self._identity_path, self._parts = folder / "campaign.json", folder / "parts"
         self._next = 0
 
+    def there(self) -> bool:
+        """Whether the folder is a campaign's."""
+        return self._identity_path.exists()
+
     def open(self, identity: Mapping[str, Any], *, resume: bool) -> set[int]:
         """Begins a campaign, or goes on with one.
 

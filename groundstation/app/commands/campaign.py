@@ -18,7 +18,7 @@ from rich.table import Table as Listing
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from groundstation.app.campaign.cases import Cases
-from groundstation.app.campaign.report import write_summary
+from groundstation.app.campaign.report import FILES, write_summary
 from groundstation.app.campaign.run import Row, fly_case
 from groundstation.app.campaign.spread import Interrupted, Lost, dask_flyer, spread
 from groundstation.app.campaign.summary import below_r, missed, summarise
@@ -28,7 +28,7 @@ from groundstation.app.commands.fly import JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.core.errors import CheckFailed, MissionFailed, UserError
-from groundstation.core.own_files import alone_in
+from groundstation.core.own_files import alone_in, claim
 from groundstation.records.manifest import claim_log, versions
 
 _FLUSH_ROWS, _FLUSH_S = 50, 2.0
@@ -74,6 +74,8 @@ def campaign(
     count = runs or varied.spec.runs or len(varied.cells)
     with alone_in(out_dir, "the campaign"):
         table = Table(out_dir)
+        for file in FILES:
+            claim(out_dir / file, "the summary", "another folder with -o", ours=table.there, force=None)
         there = table.open(
             {
                 "mission": str(path),

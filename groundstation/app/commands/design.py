@@ -16,17 +16,20 @@ from rich.markup import escape
 from rich.table import Table
 
 from groundstation.app.formation_text import formation_text
+from groundstation.app.options import ForceOption
 from groundstation.app.output import Output
+from groundstation.app.pictures import drawn_by_gs
 from groundstation.app.resources import find_config
 from groundstation.core.errors import MissionFailed, UserError
 from groundstation.core.formation import Formation
+from groundstation.core.own_files import claim, write_whole
 from groundstation.design.designer import METHODS, DesignResult, evaluator
 from groundstation.design.designer import design as design_gains
 from groundstation.design.diagnosis import WEAK, Mend, mend, names, weak_agents
 from groundstation.design.graphs import SHARE, Kind, Suggestion, suggest
 from groundstation.design.problem import SPECTRAL_NORM, Progress, Watch, split
 from groundstation.design.robustness import Robustness, assess
-from groundstation.design.store import load_formation, save_gains
+from groundstation.design.store import load_formation, load_gains, save_gains
 
 _MEND_LIMIT = 40
 """Agents up to which mending edges are searched for without being asked."""
@@ -48,6 +51,7 @@ def design(
     picture: Annotated[Path | None, typer.Option(help="Picture of the suggested graph and its trade-off.")] = None,
     robustness: Annotated[bool, typer.Option("--robustness", help="Report what the design withstands.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the perturbations in the robustness report.")] = 1,
+    force: ForceOption = False,
     as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
 ) -> None:
     """Designs the gains of a formation and proves what they are worth."""
@@ -56,6 +60,7 @@ def design(
     _check_graph_options(graph, sensing_range, max_degree, graph_file, picture)
     shape = load_formation(find_config(formation, "formations"))
     values: dict[str, object] = {}
+    _claim(shape, output, graph_file, picture, force=force)
     if graph is not None:
         kinds: dict[str, Kind] = {"sparse": "sparse", "balanced": "balanced", "robust": "robust"}
         suggestion = suggest(shape, kinds[graph], evaluator(), range_m=sensing_range, max_degree=max_degree)
@@ -102,6 +107,31 @@ def _check_options(
         raise UserError(f"--suggest-graph {graph}: unknown; known are {', '.join(SHARE)}")
     if max_degree is not None and max_degree < 1:
         raise UserError(f"--max-degree {max_degree}: must be at least 1")
+
+
+def _claim(
+    shape: Formation, output: Path | None, graph_file: Path | None, picture: Path | None, *, force: bool
+) -> None:
+    """Makes sure, before anything is worked out, that what is asked for may be written.
+
+    Raises:
+        UserError: a file is there that this command would not make again, see ``own_files.claim``.
+    """
+
+    def same_formation() -> bool:
+        try:
+            there = load_gains(output) if output is not None else None
+        except UserError:
+            return False
+        return there is not None and np.array_equal(there.points_enu_m, shape.points_enu_m)
+
+    for path, what, remedy, ours in (
+        (output, "the gains", "another file with -o", same_formation),
+        (graph_file, "the formation", "another file with --graph-file", lambda: False),  # people work on those
+        (picture, "the picture", "another file with --picture", lambda: picture is not None and drawn_by_gs(picture)),
+    ):
+        if path is not None:
+            claim(path, what, remedy, ours=ours, force=force)
 
 
 def _check_graph_options(
@@ -248,7 +278,7 @@ def _keep_suggestion(out: Output, found: Suggestion, graph_file: Path | None, pi
 
 def _write_formation(path: Path, formation: Formation) -> None:
     try:
-        path.write_text(formation_text(formation), encoding="utf-8")
+        write_whole(path, formation_text(formation).encode("utf-8"), durable=False)
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error.strerror}); choose another --graph-file") from error
 

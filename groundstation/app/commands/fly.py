@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
@@ -90,6 +91,8 @@ def fly(
     plan = load_mission(find_config(mission, "missions"), _with_fix(changes, fix=fix))
     timetable = read_faults(faults, plan)
     log_path = _log_path(plan, log, dry_run=dry_run, seed=seed)
+    if log_path.exists():
+        out.console.print(Text(f"replaces {log_path}, an earlier dry run"))
     started = time.monotonic()
     if dry_run and not udp:
         values = _dry_run(out, plan, log_path, timetable, seed=seed, realtime=realtime)
@@ -193,8 +196,18 @@ def _log_path(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: in
         UserError: the file exists and must be kept, or its folder cannot be made.
     """
     name = f"{plan.spec.name}-seed{seed}" if dry_run else f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    path = wanted or _FLIGHTS / f"{name}.tlog"
+    path = wanted or _free(_FLIGHTS, name)
     claim_log(path, lambda there: dry_run and there.dry_run)
+    return path
+
+
+def _free(folder: Path, name: str) -> Path:
+    """A log's path of that name that is not there yet: NAME.tlog, NAME-2.tlog and so on."""
+    path = folder / f"{name}.tlog"
+    for number in itertools.count(2):
+        if not path.exists() and not path.is_symlink():
+            break
+        path = folder / f"{name}-{number}.tlog"
     return path
 
 

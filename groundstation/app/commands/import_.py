@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
@@ -47,6 +48,8 @@ def import_(
             "edges": [[i + 1, j + 1] for i, j in shape.edges],
         }
     claim_log(output, lambda there: there.mission.get("source") == source.value)
+    if output.exists():
+        out.console.print(Text(f"replaces {output}, an earlier import"))
     import_crazyswarm(folder, output, versions(), wanted, radius_m)
     flight = load_flight(output)
     values = {

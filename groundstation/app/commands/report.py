@@ -9,8 +9,9 @@ import typer
 from rich.text import Text
 
 from groundstation.app.commands.replay import nothing_in
+from groundstation.app.options import ForceOption
 from groundstation.app.output import Output
-from groundstation.app.report import write_report
+from groundstation.app.report import claim_report, write_report
 from groundstation.core.errors import CheckFailed
 from groundstation.records.replay import load_flight
 
@@ -18,6 +19,8 @@ from groundstation.records.replay import load_flight
 def report(
     log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures and the page.")],
+    *,
+    force: ForceOption = False,
     as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
 ) -> None:
     """Draws trajectories, distances, formation error and setpoints of a flight."""
@@ -28,9 +31,10 @@ def report(
             out.console.print(Text(line))
     if not flight.useful:
         raise CheckFailed(f"{nothing_in(log)}; no report was written")
+    replaced = claim_report(output, force=force)
     with out.console.status("drawing"):
         files = write_report(flight, output)
     for file in files:
-        out.console.print(f"written: {file}")
+        out.console.print(Text(f"{'replaced' if replaced else 'written'}: {file}"))
     out.result({"log": str(log), "vehicles": len(flight.vehicles), "files": [str(file) for file in files],
                 "notes": list(flight.notes)})  # fmt: skip

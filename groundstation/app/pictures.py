@@ -1,0 +1,37 @@
+"""Writes pictures, and knows those that this program wrote. matplotlib is loaded by whoever draws."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from groundstation.core.own_files import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MAKER = "gs, the ground station"  # what a picture's own metadata name as its program
+_LOOKED_AT = 4096  # bytes of a picture among which that stands
+
+
+def drawn_by_gs(path: Path) -> bool:
+    """Whether a picture says of itself that this program drew it."""
+    try:
+        with path.open("rb") as file:
+            return _MAKER.encode() in file.read(_LOOKED_AT)
+    except OSError:
+        return False
+
+
+def save_picture(figure: Figure, path: Path, dpi: int) -> None:
+    """Writes a picture of the kind that its name ends in, with its maker's name where the kind has room for one.
+
+    Raises:
+        OSError: it cannot be written.
+        ValueError: there is no such kind.
+    """
+    drawn, kind = io.BytesIO(), path.suffix.lower().removeprefix(".") or "png"
+    where = {"png": "Software", "svg": "Creator"}.get(kind)
+    figure.savefig(drawn, dpi=dpi, format=kind, metadata={where: _MAKER} if where else None)
+    write_whole(path, drawn.getvalue(), durable=False)
