@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,16 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from groundstation.app.emulator import world_config
 from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.opening import open_flight
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, decode, encode_batch
+from groundstation.mavlink.gate import Gate
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.runner import Runner
+from groundstation.records.tlog import TlogWriter
 from sitl.world import World
 
 _ROUNDS = 5
@@ -27,8 +31,8 @@ _FRAMES = 4_000
 class _TimedSession(Session):
     """A session that takes the time of every tick."""
 
-    def __init__(self, runner: Runner) -> None:
-        super().__init__(runner, None)
+    def __init__(self, runner: Runner, log: TlogWriter | None, gate: Gate | None) -> None:
+        super().__init__(runner, log, gate)
         self.tick_s: list[float] = []
 
     def tick(self, now_ns: int) -> list[Outgoing]:
@@ -46,7 +50,7 @@ def run(out: Output) -> dict[str, float | int]:
     period_s = 1.0 / plan.spec.rate_hz
     speed, tick_median, tick_worst = [], [], []
     for seed in range(_ROUNDS):
-        session = _TimedSession(Runner(plan, 0))
+        session = open_flight(ExitStack(), plan, make=_TimedSession).session
         world = World(world_config(plan), seed)
         start = time.perf_counter()
         fly_virtual(session, world, period_ns=round(period_s * 1e9), watchers=(), interrupts=Interrupts())

@@ -10,7 +10,7 @@ import itertools
 import multiprocessing
 import socket
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -19,14 +19,17 @@ import numpy as np
 
 from groundstation.app.bench_hostile import hostile_units
 from groundstation.app.loop import FlightClock, Interrupts, fly_real
+from groundstation.app.opening import open_flight
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Encoder
+from groundstation.mavlink.gate import Gate
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.plan.plan import load_mission
 from groundstation.mission.runner import Runner
+from groundstation.records.tlog import TlogWriter
 
 _SECONDS = 5
 _RATE_HZ = 50_000
@@ -38,8 +41,8 @@ _BEFORE_S = 1.0  # until then the vehicles are heard alone
 class _Watched(Session):
     """Keeps when it ticked and how often vehicles were heard."""
 
-    def __init__(self, runner: Runner) -> None:
-        super().__init__(runner, None)
+    def __init__(self, runner: Runner, log: TlogWriter | None, gate: Gate | None) -> None:
+        super().__init__(runner, log, gate)
         self.ticks_ns: list[int] = []
         self.heard = self.strangers = 0
 
@@ -68,7 +71,7 @@ def run(out: Output) -> dict[str, float | int | str]:
 
 def _fly(units: list[bytes]) -> dict[str, float | int]:
     plan = load_mission(find_config(Path("cube8.yaml"), "missions"), [f"limits.preflight_s={_SECONDS}"])
-    session = _Watched(Runner(plan, 0))
+    session = open_flight(ExitStack(), plan, make=_Watched).session
     period_ns = round(1e9 / plan.spec.rate_hz)
     context = multiprocessing.get_context("spawn")
     stop = context.Event()

@@ -7,15 +7,18 @@ all the same. A log without a single tick proves nothing and is refused.
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from groundstation.app.opening import open_flight
+from groundstation.app.session import Session
 from groundstation.core.errors import CheckFailed, UserError
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, flagged, message_id
 from groundstation.mission.plan.plan import plan_from_record
-from groundstation.mission.runner import Runner
+from groundstation.mission.purpose import Purpose
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import Noise, Operator, Received, Sent, Tick
 from groundstation.records.tlog import read_tlog
@@ -66,7 +69,8 @@ def verify_log(path: Path) -> VerifyResult:
     plan = plan_from_record(manifest.mission, manifest.gains_npz, f"manifest of {path}")
     reader = read_tlog(path, manifest.epoch_unix_us)
     result = VerifyResult()
-    runner = Runner(plan, start_ns=0, take_over=manifest.take_over)
+    purpose = Purpose.TAKE_OVER if manifest.take_over else Purpose.FLY
+    runner = open_flight(ExitStack(), plan, purpose, sign=False, make=Session).session.runner
     expected: list[bytes] = []
     recorded: list[Frame] = []
     for record in reader:

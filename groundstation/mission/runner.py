@@ -27,6 +27,7 @@ from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES
 from groundstation.mission.phases.table import Event
 from groundstation.mission.phases.take_over import out_of_sight
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.team import Team
 from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.told import Told
@@ -44,27 +45,16 @@ class Runner(Told):
     Args:
         plan: what to fly.
         start_ns: time at which it begins, on the clock of all other times.
-        check_only: stop after the preflight checks, arm nothing.
-        look_only: set no parameters either, whatever the mission says; tell what a flight would set.
-        take_over: the vehicles are in the air already; take them over and bring them home, see ``takeover``.
+        purpose: what for.
 
     Attributes:
         plan: what is flown.
     """
 
-    def __init__(
-        self,
-        plan: MissionPlan,
-        start_ns: int,
-        *,
-        check_only: bool = False,
-        look_only: bool = False,
-        take_over: bool = False,
-    ) -> None:
+    def __init__(self, plan: MissionPlan, start_ns: int, purpose: Purpose = Purpose.FLY) -> None:
         self.plan = plan
-        team = Team(plan, start_ns, look_only=look_only, take_over=take_over)
-        first = Phase.TAKEOVER if take_over else Phase.CONNECT
-        super().__init__(team, Machine(team, start_ns, first, check_only=check_only))
+        team = Team(plan, start_ns, purpose)
+        super().__init__(team, Machine(team, start_ns, purpose))
         self._orders = Orders(self._team, self._machine)
         self._lookout = Lookout(self._team, self._machine)
         self._period_ns = round(SECOND_NS / plan.spec.rate_hz)

@@ -22,6 +22,7 @@ from groundstation.mission.ground.failsafe import OutOfTurn
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.monitors.board import Board
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures, Verdict
 from groundstation.mission.words import Words
@@ -64,19 +65,18 @@ class Team:
     Args:
         plan: what to fly.
         start_ns: time at which it begins.
-        look_only: set no parameters, whatever the mission says.
-        take_over: the vehicles are in the air already.
+        purpose: what for.
     """
 
-    def __init__(self, plan: MissionPlan, start_ns: int, *, look_only: bool, take_over: bool) -> None:
+    def __init__(self, plan: MissionPlan, start_ns: int, purpose: Purpose = Purpose.FLY) -> None:
         self.plan = plan
         self.verdict, self.words = Verdict(), Words()
         fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
         greeted = [(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer]
         self.station = Station(fleet, start_ns, greeted=greeted)
         self.frame = TeamFrame(plan)
-        self.preflight = Preflight(plan, self.station, self.frame, look_only=look_only)
-        self.roster = enlist(plan, untaken=take_over)
+        self.preflight = Preflight(plan, self.station, self.frame, look_only=purpose.only_looks)
+        self.roster = enlist(plan, untaken=purpose.in_the_air)
         self.board = Board(plan)
         self.guide = Guide(plan)
         self.formation = FormationFlight(plan, self.roster, self.guide, self.verdict.figures, self.verdict.note)

@@ -12,6 +12,7 @@ from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
 from groundstation.app.signing import open_gate
 from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Note, Phase, Runner
 from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
@@ -56,7 +57,7 @@ class Flight:
         if prepare is not None:
             prepare(self.world)
         self.gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
-        self.runner = Runner(plan, 0, take_over=take_over)
+        self.runner = Runner(plan, 0, Purpose.TAKE_OVER if take_over else Purpose.FLY)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []

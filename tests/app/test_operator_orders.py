@@ -16,6 +16,7 @@ from groundstation.app.emulator import world_config
 from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Note, Phase, Runner
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, four, pair
@@ -45,7 +46,10 @@ class Stepped:
     """A flight that is stepped by hand and can be copied at any moment."""
 
     def __init__(self, plan: MissionPlan, *, take_over: bool = False) -> None:
-        self.world, self.runner = World(world_config(plan, 1), 1), Runner(plan, 0, take_over=take_over)
+        self.world, self.runner = (
+            World(world_config(plan, 1), 1),
+            Runner(plan, 0, Purpose.TAKE_OVER if take_over else Purpose.FLY),
+        )
         self.now_ns, self._begin_ns = 0, self.world.now_ns
         self.notes: list[Note] = []
 

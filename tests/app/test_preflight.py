@@ -16,6 +16,7 @@ from groundstation.app.verify import verify_log
 from groundstation.mavlink.codec import Encoder, FrameSplitter, decode, message_id
 from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Phase, Runner
 from sitl.faults import Fault
 from sitl.network import LinkConfig
@@ -68,7 +69,7 @@ class Checked:
         self.world = World(config if change is None else change(config), 1)
         if prepare is not None:
             prepare(self.world)
-        self.runner = Runner(plan, 0, check_only=True, look_only=look_only)
+        self.runner = Runner(plan, 0, Purpose.LOOK if look_only else Purpose.PREPARE)
         self.sent: dict[int, int] = {}
         self.now_ns = 0
         session = Session(self.runner, None)

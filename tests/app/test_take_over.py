@@ -13,6 +13,7 @@ from groundstation.app.verify import verify_log
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.codec import Batch, Frame, FrameSplitter, decode, message_id
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Phase, Runner
 from sitl.px4 import LAND, POSCTL
 from sitl.world import Outgoing, World
@@ -264,7 +265,7 @@ def test_nobody_is_taken_from_another_ground_station() -> None:
         def advance(self, now_ns: int) -> list[Outgoing]:
             sent = super().advance(now_ns)
             if self.runner.phase in (Phase.FORM, Phase.HOLD) and not refused:
-                others.extend([Runner(plan, now_ns, take_over=True)] * (not others))
+                others.extend([Runner(plan, now_ns, Purpose.TAKE_OVER)] * (not others))
                 other = others[0]
                 for item in sent:
                     other.receive(0, f"emulator:{item.vehicle_index + 1}", item.data, now_ns)

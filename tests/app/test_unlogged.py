@@ -14,6 +14,7 @@ import pytest
 from groundstation.app.emulator import world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.session import Session
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records import recording
 from groundstation.records.tlog import TlogWriter
@@ -40,7 +41,7 @@ class Watched:
         plan = pair()
         world = World(world_config(plan, 1), 1)
         disk = FillingDisk()
-        self.session = Session(Runner(plan, 0, take_over=take_over), TlogWriter(disk, 0))
+        self.session = Session(Runner(plan, 0, Purpose.TAKE_OVER if take_over else Purpose.FLY), TlogWriter(disk, 0))
         self.runner = self.session.runner
         self.told: list[str] = []
         self.ever_armed = False

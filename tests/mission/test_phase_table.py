@@ -61,7 +61,7 @@ def test_setpoints_end_from_every_phase_in_the_air_and_a_fault_is_answered_in_ev
 
 def test_what_cannot_come_about_is_a_fault_and_changes_nothing() -> None:
     plan = load_mission(packaged_configs() / "missions" / "first_flight2.yaml")
-    machine = Machine(Team(plan, 0, look_only=False, take_over=False), 0, Phase.CONNECT)
+    machine = Machine(Team(plan, 0), 0)
     with pytest.raises(RuntimeError, match="everybody is back: that cannot come about in phase connect"):
         machine.happen(Event.BACK, 1)
     assert machine.phase is Phase.CONNECT
@@ -73,10 +73,10 @@ def test_what_cannot_come_about_is_a_fault_and_changes_nothing() -> None:
 
 def test_a_hold_gives_back_the_very_phase_that_it_held_unless_something_else_has_to_follow() -> None:
     plan = load_mission(packaged_configs() / "missions" / "first_flight2.yaml")
-    team = Team(plan, 0, look_only=False, take_over=False)
+    team = Team(plan, 0)
     poses = team.frame.poses(team.fleet, 0)
     for instead in (False, True):
-        machine = Machine(team, 0, Phase.CONNECT)
+        machine = Machine(team, 0)
         for event in (Event.READY, Event.ARMED, Event.NEXT_FORM):
             machine.happen(event, 10)
         held = machine.state
@@ -95,7 +95,7 @@ def test_a_hold_gives_back_the_very_phase_that_it_held_unless_something_else_has
 
 def test_no_mission_begins_with_a_hold() -> None:
     plan = load_mission(packaged_configs() / "missions" / "first_flight2.yaml")
-    team = Team(plan, 0, look_only=False, take_over=False)
+    team = Team(plan, 0)
     from groundstation.mission.phases.stand import PausePhase
 
     with pytest.raises(ValueError, match="follows an order"):

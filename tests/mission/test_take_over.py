@@ -14,6 +14,7 @@ from groundstation.mavlink.vehicle import LANDED_IN_AIR
 from groundstation.mission.phases.take_over import TakeOverState
 from groundstation.mission.phases.taking_over import TakeOverPhase
 from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Runner
 
 SECOND_NS = 1_000_000_000
@@ -26,7 +27,7 @@ class Scene:
     """Eight vehicles that hover above their pads and report all that they should."""
 
     def __init__(self) -> None:
-        self.runner = Runner(load_mission(CUBE8), 0, take_over=True)
+        self.runner = Runner(load_mission(CUBE8), 0, Purpose.TAKE_OVER)
         state = self.runner._machine.state
         assert isinstance(state, TakeOverPhase)
         self.fleet, self.take_over = self.runner.fleet, state.take_over

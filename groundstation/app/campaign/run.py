@@ -21,8 +21,8 @@ from groundstation.app.campaign.cases import Case
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.session import Session
-from groundstation.app.signing import open_gate
 from groundstation.app.verify import verify_log
 from groundstation.core import frames
 from groundstation.core.errors import UserError
@@ -32,13 +32,10 @@ from groundstation.core.types import BoolArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import (
-    DRY_RUN_EPOCH_UNIX_US,
-    Manifest,
     manifest_path,
     versions,
     write_manifest,
 )
-from groundstation.records.recording import recording
 from sitl.faults import FaultError
 from sitl.world import World, WorldConfig
 
@@ -151,27 +148,17 @@ class _Flown:
         """Flies to the end, lets the world come to rest, and reads off what came of it."""
         case, plan, setting = self._case, self._plan, self._case.setting
         meter = TruthMeter(self._world)
-        manifest = Manifest(
-            mission=plan.record(),
-            epoch_unix_us=DRY_RUN_EPOCH_UNIX_US,
-            versions=versions() if log is not None else {},
-            seed=case.seed,
-            dry_run=True,
-            gains_npz=plan.gains_npz,
-        )
         values: Row = {"safety_radius_m": plan.spec.avoidance.radius_m, "vehicles": plan.size}
         late = False
         with ExitStack() as stack:
             if setting.verify and log is None:
                 log = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "run.tlog"
-            writer = None
-            gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
-            if log is not None:
-                writer = stack.enter_context(recording(log, manifest, replace=True))
-            runner = Runner(plan, 0)
+            recorded = None if log is None else LogPlan(log, versions(), case.seed, dry_run=True, replace=True)
+            flight = open_flight(stack, plan, log=recorded, make=Session)
+            runner = flight.session.runner
             try:
                 fly_virtual(
-                    Session(runner, writer, gate),
+                    flight.session,
                     self._world,
                     period_ns=round(_SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
@@ -180,9 +167,9 @@ class _Flown:
             except _TooLongError:
                 late = True
             values |= self._figures(runner, meter, late=late)
-            if writer is not None and log is not None:
-                writer.close()
-                write_manifest(manifest_path(log), manifest.finished(values))
+            if flight.log is not None and flight.manifest is not None and log is not None:
+                flight.log.close()
+                write_manifest(manifest_path(log), flight.manifest.finished(values))
             if setting.verify and log is not None:
                 verified = verify_log(log)
                 values |= {"log_mismatches": verified.mismatches, "log_complete": verified.complete}

@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,27 +20,27 @@ from groundstation.app.check_screen import rows_as_values, show_rows
 from groundstation.app.emulator import TruthMeter, read_faults, served_world, world_config
 from groundstation.app.keyboard import Keyboard
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.order_client import runtime_folder
 from groundstation.app.order_socket import OrderSocket
 from groundstation.app.output import Output
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
-from groundstation.app.signing import FlightGate, open_gate
+from groundstation.app.signing import FlightGate
 from groundstation.app.steady_file import Disk
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
-from groundstation.links.opening import open_link
 from groundstation.mission.plan.plan import MissionPlan, load_mission, read_spec
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (
-    DRY_RUN_EPOCH_UNIX_US,
     Manifest,
     claim_log,
     manifest_path,
     versions,
     write_manifest,
 )
-from groundstation.records.recording import recording
+from groundstation.records.tlog import TlogWriter
 from sitl.faults import Fault
 from sitl.world import World
 
@@ -116,19 +116,22 @@ def check(
     """Checks a mission and its vehicles on their pads; arms nothing, and sets parameters only with --fix."""
     out = Output(as_json=as_json)
     plan = _judged(out, find_config(mission, "missions"), _with_fix(changes, fix=fix))
-    clock = FlightClock()
-    gate = open_gate(plan, clock.epoch_unix_us, keep_times=True)
-    session = Session(Runner(plan, 0, check_only=True, look_only=not fix), None, gate)
     interrupts = Interrupts()
     with ExitStack() as stack:
-        if gate is not None:
-            stack.callback(gate.close)
-        links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
-        display = stack.enter_context(FlightDisplay(out.console, plan, links))
+        purpose = Purpose.PREPARE if fix else Purpose.LOOK
+        flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
+        display = stack.enter_context(FlightDisplay(out.console, plan, flight.links))
         stack.enter_context(interrupts.listening())
-        fly_real(session, links, clock, period_ns=_period_ns(plan), watchers=(display,), interrupts=interrupts)
-        troubles = link_troubles(links)
-    runner = session.runner
+        fly_real(
+            flight.session,
+            flight.links,
+            flight.clock or FlightClock(),
+            period_ns=_period_ns(plan),
+            watchers=(display,),
+            interrupts=interrupts,
+        )
+        troubles = link_troubles(flight.links)
+    runner, gate = flight.session.runner, flight.gate
     for number, rates in enumerate(plan.rates):
         signed = "signed" if number in plan.signed_links else "not signed"
         out.console.print(f"{rates.words(plan.links[number], plan.link_of_vehicle.count(number))}, {signed}")
@@ -217,16 +220,16 @@ def _dry_run(
     """Flies the emulator in virtual time."""
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
-    manifest = _manifest(plan, DRY_RUN_EPOCH_UNIX_US, seed=seed, dry_run=True)
-    gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
-    with recording(log_path, manifest, replace=True) as log:
-        session = Session(Runner(plan, 0), log, gate)
+    recorded = LogPlan(log_path, versions(), seed, dry_run=True, replace=True)
+    with ExitStack() as stack:
+        flight = open_flight(stack, plan, log=recorded, make=Session)
+        session, gate = flight.session, flight.gate
         interrupts = Interrupts()
-        with ExitStack() as stack:
-            stack.enter_context(interrupts.listening())
+        with ExitStack() as at_the_desk:
+            at_the_desk.enter_context(interrupts.listening())
             # A dry run in virtual time is over before anybody could say anything.
-            controls, prompt = _controls(stack, session, log_path) if realtime else ((), None)
-            display = stack.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
+            controls, prompt = _controls(at_the_desk, session, log_path) if realtime else ((), None)
+            display = at_the_desk.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
                 world,
@@ -236,10 +239,10 @@ def _dry_run(
                 pace=wall_clock_pace() if realtime else None,
                 controls=controls,
             )
-    values = _values(session, log_path, seed) | meter.figures() | {"log_complete": log.problem is None}
+    values = _values(session, log_path, seed) | meter.figures() | {"log_complete": _complete(flight.log)}
     record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
     _tell_refused(out, values, plan, gate)
-    _finish(out, log_path, manifest.finished(values | record))
+    _finish(out, log_path, flight.manifest, values | record)
     return values | {"beside": record}
 
 
@@ -269,10 +272,17 @@ def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Seque
     return controls, prompt
 
 
-def _finish(out: Output, log_path: Path, manifest: Manifest) -> None:
+def _complete(log: TlogWriter | None) -> bool:
+    """Whether everything was recorded; known when the log is closed."""
+    return log is not None and log.problem is None
+
+
+def _finish(out: Output, log_path: Path, manifest: Manifest | None, ended: Mapping[str, Any]) -> None:
     """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
+    if manifest is None:
+        return
     try:
-        write_manifest(manifest_path(log_path), manifest)
+        write_manifest(manifest_path(log_path), manifest.finished(ended))
     except UserError as error:
         out.console.print(Text(f"gs: {error}; it lacks how the flight ended", style="bold red"))
 
@@ -288,25 +298,16 @@ def _real_flight(
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
     with ExitStack() as stack:
-        links = [stack.enter_context(closing(open_link(url))) for url in plan.links]
-        meter = None
+        meter, emulated = None, emulated_seed is not None
         if emulated_seed is not None:
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
-        clock = FlightClock()
-        gate = open_gate(plan, clock.epoch_unix_us, keep_times=emulated_seed is None)
-        if gate is not None:
-            stack.callback(gate.close)
-        manifest = _manifest(plan, clock.epoch_unix_us, seed=emulated_seed, dry_run=False, take_over=take_over)
-        log, disk = None, Disk()
-        try:
-            log = stack.enter_context(
-                recording(log_path, manifest, replace=emulated_seed is not None, through=disk.through)
-            )
-        except UserError as error:
-            if not take_over:  # vehicles in the air wait for no disk
-                raise
-            out.console.print(Text(f"gs: {error}; flying without a log", style="bold red"))
-        session = Session(Runner(plan, 0, take_over=take_over), log, gate)
+        disk = Disk()
+        recorded = LogPlan(log_path, versions(), emulated_seed, replace=emulated, through=disk.through)
+        purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
+        flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
+        session, gate, links = flight.session, flight.gate, flight.links
+        if flight.unlogged:
+            out.console.print(Text(f"gs: {flight.unlogged}; flying without a log", style="bold red"))
         interrupts = Interrupts()
         with ExitStack() as at_the_desk:
             at_the_desk.enter_context(interrupts.listening())
@@ -315,7 +316,7 @@ def _real_flight(
             fly_real(
                 session,
                 links,
-                clock,
+                flight.clock or FlightClock(),
                 period_ns=_period_ns(plan),
                 watchers=(display, disk, *(() if meter is None else (meter,))),
                 interrupts=interrupts,
@@ -330,23 +331,9 @@ def _real_flight(
         if meter is not None:
             values |= meter.figures()
             record["move_error_m"] = meter.move_error_m
-    values["log_complete"] = log is not None and log.problem is None  # known when it is closed
-    _finish(out, log_path, manifest.finished(values | record))
+    values["log_complete"] = _complete(flight.log)
+    _finish(out, log_path, flight.manifest, values | record)
     return values | {"beside": record}
-
-
-def _manifest(
-    plan: MissionPlan, epoch_unix_us: int, *, seed: int | None, dry_run: bool, take_over: bool = False
-) -> Manifest:
-    return Manifest(
-        mission=plan.record(),
-        epoch_unix_us=epoch_unix_us,
-        versions=versions(),
-        seed=seed,
-        dry_run=dry_run,
-        take_over=take_over,
-        gains_npz=plan.gains_npz,
-    )
 
 
 def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any]:

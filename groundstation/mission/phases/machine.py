@@ -15,6 +15,7 @@ from groundstation.mission.phases.state import Entry, PhaseState
 from groundstation.mission.phases.table import TABLE, Afterwards, Answer, Event
 from groundstation.mission.phases.takeoff import TakeoffPhase
 from groundstation.mission.phases.taking_over import TakeOverPhase
+from groundstation.mission.purpose import Purpose
 from groundstation.mission.team import Team
 
 _MAKERS: dict[Phase, Callable[[Team, Entry], PhaseState]] = {
@@ -32,20 +33,21 @@ class Machine:
     Args:
         team: what the phases work with.
         start_ns: time at which the first one begins.
-        first: the first one.
-        check_only: stop after preflight.
+        purpose: what for.
 
     Attributes:
         state: the phase under way.
     """
 
-    def __init__(self, team: Team, start_ns: int, first: Phase, *, check_only: bool = False) -> None:
+    def __init__(self, team: Team, start_ns: int, purpose: Purpose = Purpose.FLY) -> None:
         self._team = team
         entry = Entry(start_ns)
         self.state: PhaseState = (
-            ConnectPhase(team, entry, check_only=True) if check_only else _MAKERS[first](team, entry)
+            TakeOverPhase(team, entry)
+            if purpose.in_the_air
+            else ConnectPhase(team, entry, check_only=purpose.only_checks)
         )
-        team.verdict.note("phase", first.value)
+        team.verdict.note("phase", self.state.phase.value)
 
     @property
     def phase(self) -> Phase:
