@@ -16,8 +16,10 @@ from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mavlink.clocks import BootTimes
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
+from groundstation.mavlink.kinds import kind_of, type_words, unflown_words
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
+from groundstation.mission.plan.schema import VEHICLE_IDS
 
 _HELLO_NS = 500_000_000
 _TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
@@ -37,6 +39,7 @@ class Found:
         sysid: its system id.
         autopilot: None for one that we do not know.
         mav_autopilot: as its heartbeat says.
+        mav_type: the same.
         mode: its mode word.
         armed: from the heartbeat.
         heard_ns: last heartbeat by address, so that two under one id show.
@@ -49,6 +52,7 @@ class Found:
     sysid: int
     autopilot: Autopilot | None
     mav_autopilot: int
+    mav_type: int
     mode: int = 0
     armed: bool = False
     heard_ns: dict[str, int] = field(default_factory=dict)
@@ -60,6 +64,21 @@ class Found:
     def mode_name(self) -> str:
         """Its mode for people."""
         return self.autopilot.mode_name(self.mode) if self.autopilot else f"mode {self.mode}"
+
+    @property
+    def type_name(self) -> str:
+        """Its type for people."""
+        return type_words(self.mav_type)
+
+    @property
+    def why_not(self) -> str:
+        """Why no mission takes it, "" where one does."""
+        if self.sysid not in VEHICLE_IDS:
+            low, high = VEHICLE_IDS[0], VEHICLE_IDS[-1]
+            return f"missions take ids {low} to {high}; give it one (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)"
+        if (unflown := unflown_words(self.mav_type)) is not None:
+            return unflown
+        return "" if self.autopilot else f"its autopilot, MAV_AUTOPILOT {self.mav_autopilot}, is not flown by gs"
 
     def addresses(self, now_ns: int) -> list[str]:
         """Where it was heard in the last seconds; more than one means two vehicles."""
@@ -90,25 +109,32 @@ class Discovery:
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
         self._splitters = Splitters()
         self._next_hello_ns = 0
+        self._components: dict[tuple[int, int], int] = {}
         self.found: dict[tuple[int, int], Found] = {}
 
     def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
         """Takes what came over a link."""
         for piece in self._splitters.feed((link, peer), data, stream=self._addresses[link].is_stream):
-            if isinstance(piece, Frame) and piece.compid == AUTOPILOT_COMPID and len(self.found) < _FOUND_MAX:
+            if not isinstance(piece, Frame) or len(self.found) >= _FOUND_MAX:
+                continue
+            if piece.compid == AUTOPILOT_COMPID:
                 self._take(link, peer, piece, now_ns)
+            elif (kind := kind_of(piece)) is not None and kind.is_autopilot and len(self._components) < _FOUND_MAX:
+                self._components[link, piece.sysid] = piece.compid
 
     def _take(self, link: int, peer: str, frame: Frame, now_ns: int) -> None:
-        found = self.found.get((link, frame.sysid))
+        found, sender = self.found.get((link, frame.sysid)), kind_of(frame)
         for batch in decode([frame]):
             values = batch.values[0]
             if found is not None and "time_boot_ms" in (batch.values.dtype.names or ()):
                 found.take_boot_time(peer, batch.name, int(values["time_boot_ms"]), now_ns)
-            if batch.name == "HEARTBEAT" and values["type"] != _TYPE_GCS:
-                number = int(values["autopilot"])
+            if sender is not None:
+                if not sender.is_autopilot:
+                    continue
+                number = sender.mav_autopilot
                 kind = next((item for item in AUTOPILOTS.values() if item.mav_autopilot == number), None)
                 if found is None:
-                    found = self.found[link, frame.sysid] = Found(link, frame.sysid, kind, number)
+                    found = self.found[link, frame.sysid] = Found(link, frame.sysid, kind, number, sender.mav_type)
                 found.mode, found.armed = int(values["custom_mode"]), bool(values["base_mode"] & _ARMED_FLAG)
                 if peer in found.heard_ns or len(found.heard_ns) < _PEERS_MAX:
                     found.heard_ns[peer] = now_ns
@@ -163,6 +189,16 @@ class Discovery:
             for sysid, where in self._doubled(now_ns).items()
         ]
 
+    def unflown(self) -> list[str]:
+        """Words for what is there and taken by no mission."""
+        lines = [f"system {found.sysid}: {found.why_not}" for found in self.vehicles() if found.why_not]
+        return lines + [
+            f"system {sysid}: heard as component {compid} on {self._addresses[link].url}, and an autopilot has to be"
+            f" component {AUTOPILOT_COMPID}; correct MAV_COMP_ID"
+            for (link, sysid), compid in sorted(self._components.items())
+            if (link, sysid) not in self.found
+        ]
+
     def _doubled(self, now_ns: int) -> dict[int, str]:
         """Where each system id that more than one vehicle bears is heard."""
         places: dict[int, list[str]] = {}
@@ -181,10 +217,10 @@ class Discovery:
     def block(self, now_ns: int) -> str:
         """The ``vehicles:`` block of a mission: pads from the places where the vehicles stand, the first at 0, 0.
 
-        System ids that more than one vehicle bears are left out, with a comment that says so.
+        Who bears a system id with another one, or is taken by no mission, is left out with a comment that says so.
         """
         doubled = self._doubled(now_ns)
-        known = [found for found in self.vehicles() if found.autopilot is not None and found.sysid not in doubled]
+        known = [found for found in self.vehicles() if not found.why_not and found.sysid not in doubled]
         first = next((found.place_deg_m for found in known if found.place_deg_m is not None), None)
         entries = []
         for found in known:
@@ -205,4 +241,9 @@ class Discovery:
             )
         lines = [yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000) for entry in entries]
         left_out = "".join(f"  # system {sysid} is left out: more than one vehicle bears it\n" for sysid in doubled)
+        left_out += "".join(
+            f"  # system {found.sysid} is left out: {found.why_not}\n"
+            for found in self.vehicles()
+            if found.why_not and found.sysid not in doubled
+        )
         return "vehicles:\n" + left_out + "".join(f"  - {line}" for line in lines)

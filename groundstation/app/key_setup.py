@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
+from groundstation.mavlink.kinds import kind_of
 from groundstation.mavlink.signing import SecretKey, Signing, Verdict, timestamp_at
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
@@ -91,7 +92,8 @@ class KeySetup:
         clock = timestamp_at(self._epoch_unix_us + now_ns // 1_000)
         vehicle.signs |= vehicle.signing.check(frame, clock, vehicle.link) is Verdict.GOOD
         for batch in decode([frame]):
-            if batch.name == "HEARTBEAT":
+            kind = kind_of(frame)
+            if kind is not None and kind.is_autopilot:
                 vehicle.peer = peer if vehicle.peer is None else vehicle.peer
                 vehicle.armed = bool(batch.values[0]["base_mode"] & _ARMED_FLAG)
 

@@ -6,7 +6,8 @@ half of the round trip is the uncertainty, and the quickest round trip of late i
 simulator on a busy computer counts time a few percent slowly, which is worked out from what round trips bound.
 
 Also tells from ``time_boot_ms`` that a vehicle has started anew, or that two vehicles speak under one system id: the
-time runs back once, or again and again. Reads no clock; all times are ns on the caller's.
+time runs back once, or again and again. That it begins again at 0 after 2^32 ms is neither. Reads no clock; all times
+are ns on the caller's.
 """
 
 from __future__ import annotations
@@ -28,8 +29,11 @@ _JUMP_NS = 20_000_000  # beyond what round trips and rates allow: the clock was 
 _BACK_MS = 1_000  # reordering on a link is quicker than this
 _STALL_NS = 3_000_000_000  # no simulator stands still for longer than this; a vehicle that starts anew is away longer
 _LAG_S = 0.25  # beyond the quickest round trip
-_BACK_AGAIN = 3  # so many messages in a row with the earlier time: the vehicle has started anew
+_BACK_AGAIN = 3  # so many messages in a row with another time: its clock was set, or it has started anew
 _FLIPS, _FLIPS_NS = 4, 5_000_000_000
+_NO_TIME_NS = 1 << 61  # 73 years: no clock of a vehicle, and its sums stay whole numbers of 64 bits
+_WRAP_MS = 1 << 32  # time_boot_ms counts on from 0 after 49.7 days
+_AHEAD_MS = 10_000  # no clock runs further ahead of what has passed here, whatever was under way on a link
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,7 @@ class Clocks:
         self._asked: list[deque[int]] = [deque(maxlen=_OUTSTANDING) for _ in range(n)]
         self._told_ns: IntArray = np.zeros(n, dtype=np.int64)
         self._lag_ns: IntArray = np.zeros(n, dtype=np.int64)
+        self._odd: list[_Sample | None] = [None] * n
 
     def asked(self, vehicle: int, ts1_ns: int) -> None:
         """Remembers a question that was sent; answers to anybody else's do not count."""
@@ -74,23 +79,30 @@ class Clocks:
     def answered(self, vehicle: int, tc1_ns: int, ts1_ns: int, t_rx_ns: int) -> bool:
         """Takes an answer; returns whether the vehicle's clock has run back: it has started anew.
 
-        A clock that was set forward, or stood still for a moment, is followed from this answer on.
+        A clock that stood still for a moment is followed from this answer on. Of one that was set, or began anew, two
+        answers in a row have to agree: one alone that fits no other sets no clock.
         """
-        if ts1_ns not in self._asked[vehicle] or t_rx_ns < ts1_ns:
+        if ts1_ns not in self._asked[vehicle] or t_rx_ns < ts1_ns or not abs(tc1_ns) < _NO_TIME_NS:
             return False
         late = self._late[vehicle]
         sample = _Sample(t_rx_ns, tc1_ns - (ts1_ns + t_rx_ns) // 2, t_rx_ns - ts1_ns)
         if late:
             newest = late[-1]
             jump_ns = sample.offset_ns - newest.offset_ns
-            allowed_ns = (sample.round_trip_ns + newest.round_trip_ns) / 2 + _RATE_MAX * (t_rx_ns - newest.t_ns)
-            if abs(jump_ns) > allowed_ns + _JUMP_NS:
+            if _apart(sample, newest):
+                back = jump_ns < -_STALL_NS or tc1_ns < self._told_ns[vehicle] - _BACK_MS * 1_000_000
+                if back or jump_ns > 0:
+                    odd, self._odd[vehicle] = self._odd[vehicle], sample
+                    if odd is None or _apart(sample, odd):
+                        self._answered_once(vehicle, ts1_ns)
+                        return False
                 late.clear()
-                if jump_ns < -_STALL_NS or tc1_ns < self._told_ns[vehicle] - _BACK_MS * 1_000_000:
+                if back:
                     self.forget(vehicle)
                     return True
+        self._odd[vehicle] = None
         self._told_ns[vehicle] = tc1_ns
-        self._asked[vehicle] = deque((t for t in self._asked[vehicle] if t != ts1_ns), maxlen=_OUTSTANDING)
+        self._answered_once(vehicle, ts1_ns)
         late.append(sample)
         while late[0].t_ns < t_rx_ns - _KEPT_NS:
             late.popleft()
@@ -103,6 +115,9 @@ class Clocks:
         self.known[vehicle] = True
         return False
 
+    def _answered_once(self, vehicle: int, ts1_ns: int) -> None:
+        self._asked[vehicle] = deque((t for t in self._asked[vehicle] if t != ts1_ns), maxlen=_OUTSTANDING)
+
     def forget(self, vehicle: int) -> None:
         """The vehicle has started anew: its clock too."""
         self._late[vehicle].clear()
@@ -110,6 +125,7 @@ class Clocks:
         self._told_ns[vehicle] = 0
         self._lag_ns[vehicle] = 0
         self.rate[vehicle] = 0.0
+        self._odd[vehicle] = None
         self.known[vehicle] = False
         self.round_trip_s[vehicle] = np.nan
         self.samples[vehicle] = 0
@@ -134,6 +150,8 @@ class Clocks:
         since_ns = t_rx_ns - self.at_ns[row]
         offset_ns = self.offset_ns[row] + np.rint(self.rate[row] * since_ns).astype(np.int64)
         mapped = boot_ms * 1_000_000 + half_ms_ns - offset_ns
+        # TIMESYNC counts on when time_boot_ms begins again.
+        mapped += np.rint((t_rx_ns - mapped) / (_WRAP_MS * 1e6)).astype(np.int64) * (_WRAP_MS * 1_000_000)
         measured_ns = np.where(self.known[row] & (boot_ms > 0), np.minimum(mapped, t_rx_ns), t_rx_ns)
         self._lag_ns[row] = t_rx_ns - measured_ns
         return measured_ns
@@ -141,6 +159,12 @@ class Clocks:
     def doubtful(self) -> BoolArray:
         """Vehicles whose messages seem to have been long under way: their clocks may have stood still, shape (n,)."""
         return np.asarray(self._lag_ns / 1e9 > self.round_trip_s + _LAG_S)  # not with NaN
+
+
+def _apart(sample: _Sample, other: _Sample) -> bool:
+    """Whether two answers cannot be of one clock that nobody has set and that has not stood still."""
+    allowed_ns = (sample.round_trip_ns + other.round_trip_ns) / 2 + _RATE_MAX * abs(sample.t_ns - other.t_ns)
+    return abs(sample.offset_ns - other.offset_ns) > allowed_ns + _JUMP_NS
 
 
 def _rate(late: deque[_Sample]) -> tuple[float, float]:
@@ -177,6 +201,7 @@ class BootTimes:
 
     def __init__(self, n: int) -> None:
         self._last_ms: IntArray = np.full(n, -1, dtype=np.int64)
+        self._last_rx_ns: IntArray = np.zeros(n, dtype=np.int64)
         self._back: IntArray = np.zeros(n, dtype=np.int64)
         self._flips: list[deque[int]] = [deque(maxlen=_FLIPS) for _ in range(n)]
 
@@ -192,17 +217,25 @@ class BootTimes:
             Which of them are news, shape (k,), and the vehicles that have started anew.
         """
         fresh: BoolArray = np.ones(len(row), dtype=np.bool_)
-        if not self._back.any() and len(set(row.tolist())) == len(row) and bool((boot_ms >= self._last_ms[row]).all()):
-            self._last_ms[row] = boot_ms
+        first = self._last_ms[row] < 0
+        most_ms = (t_rx_ns - self._last_rx_ns[row]) // 1_000_000 + _AHEAD_MS
+        gone_ms = boot_ms - self._last_ms[row]
+        plain = bool((first | ((gone_ms >= 0) & (gone_ms <= most_ms))).all())
+        if plain and not self._back.any() and len(set(row.tolist())) == len(row):
+            self._last_ms[row], self._last_rx_ns[row] = boot_ms, t_rx_ns
             return fresh, []
         restarted: list[int] = []
         for k, (vehicle, boot, t_ns) in enumerate(zip(row.tolist(), boot_ms.tolist(), t_rx_ns.tolist(), strict=True)):
             last = int(self._last_ms[vehicle])
-            if boot >= last:
+            gone = boot - last
+            around = (gone + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
+            if -_BACK_MS <= around <= self._most_ms(vehicle, t_ns):
+                gone = around
+            if last < 0 or 0 <= gone <= self._most_ms(vehicle, t_ns):
                 if self._back[vehicle]:
                     self._flips[vehicle].append(t_ns)
                 self._back[vehicle] = 0
-            elif boot >= last - _BACK_MS:
+            elif -_BACK_MS <= gone < 0:
                 fresh[k] = False
                 continue
             else:
@@ -212,9 +245,14 @@ class BootTimes:
                     continue
                 self._back[vehicle] = 0
                 self._flips[vehicle].append(t_ns)
-                restarted.append(vehicle)
-            self._last_ms[vehicle] = boot
+                if gone < 0:
+                    restarted.append(vehicle)
+            self._last_ms[vehicle], self._last_rx_ns[vehicle] = boot, t_ns
         return fresh, restarted
+
+    def _most_ms(self, vehicle: int, t_rx_ns: int) -> int:
+        """How far a vehicle's clock can have gone since its last message."""
+        return (t_rx_ns - int(self._last_rx_ns[vehicle])) // 1_000_000 + _AHEAD_MS
 
     def two_at_once(self, vehicle: int, now_ns: int) -> bool:
         """Whether two vehicles have been speaking under this one's id of late: their times alternate."""

@@ -22,7 +22,10 @@ from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.clocks import BootTimes, Clocks
 from groundstation.mavlink.codec import Batch, Frame, decode, message_id, message_name
+from groundstation.mavlink.kinds import TYPE_GCS, Kind, kind_of
 from groundstation.mavlink.params import ParamValue
+from groundstation.mavlink.senders import Senders
+from groundstation.mavlink.texts import Text, Texts
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -31,7 +34,6 @@ AUTOPILOT_COMPID = 1
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 _VOLTAGE_UNKNOWN = 65_535
-_TYPE_GCS = 6  # MAV_TYPE_GCS
 _HEARTBEAT = message_id("HEARTBEAT")
 _PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from another address
 _RIVAL_NS = 5_000_000_000
@@ -39,14 +41,16 @@ _QUATERNION_OLD_NS = 500_000_000  # only then is the attitude taken from Euler a
 _ORIGIN_SAME_M = 0.05
 _ORIGINS_NS = 10_000_000_000
 _ELSEWHERE_MAX = 2_000
-_TEXT_BYTES, _PIECES_MAX = 50, 10
 _METRES_PER_DEGREE = 111_320.0
+_LANDED_FRESH_NS = 3_000_000_000  # so long a landed state speaks against a heartbeat
+_TWO_PLACES_M = 1.0
 COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "ATTITUDE")
 """Message types whose rate is looked after."""
 
 HEARTBEAT_PATIENCE = 3.0
 """How many times longer a heartbeat may be missing than everything."""
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
+_OFF_THE_GROUND = (LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING)
 
 
 class ReceivedFrame(NamedTuple):
@@ -65,16 +69,6 @@ class Ack:
     vehicle: int
     command: int
     result: int
-    t_rx_ns: int
-
-
-@dataclass(frozen=True)
-class Text:
-    """STATUSTEXT of one vehicle: ``severity`` is a MAV_SEVERITY, 0 the worst."""
-
-    vehicle: int
-    severity: int
-    text: str
     t_rx_ns: int
 
 
@@ -101,8 +95,12 @@ class Fleet:
         heard_ns: arrival of the last frame of any kind, shape (n,).
         heartbeat_ns: arrival of the last HEARTBEAT, shape (n,).
         autopilot: MAV_AUTOPILOT, UNKNOWN before the first heartbeat, shape (n,).
+        mav_type: MAV_TYPE of the same, shape (n,).
         custom_mode: autopilot's own mode word, UNKNOWN before, shape (n,).
-        armed: from the heartbeat, shape (n,).
+        armed: from the heartbeat, shape (n,). "Disarmed" is not believed of one that was armed while its landed state
+            says that it is in the air: autopilots stand on the ground by their own report as soon as they disarm.
+        disarm_doubted: such a heartbeat was the last one, shape (n,).
+        ground_doubted: reports to stand on the ground and is seen above it, shape (n,); whoever sees that writes it.
         system_status: MAV_STATE, UNKNOWN before, shape (n,).
         pos_local_ned_m: newest valid LOCAL_POSITION_NED, in each vehicle's own origin, NaN before, shape (n, 3).
         vel_ned_m_s: velocity of the same message, shape (n, 3).
@@ -121,6 +119,7 @@ class Fleet:
         attitude_ns: when that was measured, shape (n,).
         seen: messages so far by type, of those in ``COUNTED``, shape (n,) each.
         clocks: the vehicles' clocks on ours.
+        senders: who else speaks under the vehicles' ids.
         restarts: times that a vehicle was seen to start anew, shape (n,).
         landed_state: MAV_LANDED_STATE, 0 (undefined) before, shape (n,).
         landed_ns: arrival of the last EXTENDED_SYS_STATE, shape (n,).
@@ -147,8 +146,11 @@ class Fleet:
         self.heard_ns = _times(n)
         self.heartbeat_ns = _times(n)
         self.autopilot = _unknowns(n)
+        self.mav_type = _unknowns(n)
         self.custom_mode = _unknowns(n)
         self.armed: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.disarm_doubted: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.ground_doubted: BoolArray = np.zeros(n, dtype=np.bool_)
         self.system_status = _unknowns(n)
         self.pos_local_ned_m: FloatArray = np.full((n, 3), np.nan)
         self.vel_ned_m_s: FloatArray = np.full((n, 3), np.nan)
@@ -187,7 +189,9 @@ class Fleet:
         self._timesync: list[TimesyncRequest] = []
         self._quaternion_ns = _times(n)
         self._position_times, self._place_times, self._attitude_times = BootTimes(n), BootTimes(n), BootTimes(n)
-        self._pieces: dict[int, tuple[int, dict[int, bytes]]] = {}
+        self._under_way = Texts()
+        self._told: list[tuple[int, int, int] | None] = [None] * n
+        self.senders = Senders(n)
         self._rivals: list[tuple[str, int] | None] = [None] * n
         self._elsewhere: dict[tuple[int, int], int] = {}
         self._held = False
@@ -215,9 +219,14 @@ class Fleet:
                     self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
             elif item.frame.compid != AUTOPILOT_COMPID:
                 self.counts["other component"] += 1
+                kind = kind_of(item.frame)
+                if kind is not None and kind.is_autopilot and item.link == self.link[row]:
+                    self.senders.other_component(row, item.frame.compid, item.t_rx_ns)
             elif item.link != self.link[row]:
                 self.counts["wrong link"] += 1
                 self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
+            elif not self._is_of_its_kind(row, item):
+                pass
             elif not self._from_its_address(row, item):
                 self.counts["second sender under a vehicle's id"] += 1
             else:
@@ -234,6 +243,24 @@ class Fleet:
                 news = handler(self, batch, vehicle, t_ns)
                 if self.watch is not None:
                     self.watch(batch, vehicle, t_ns, np.ones(len(batch), dtype=np.bool_) if news is None else news)
+
+    def _is_of_its_kind(self, row: int, item: ReceivedFrame) -> bool:
+        """Whether a frame is no heartbeat of somebody who is not the vehicle's autopilot: those count for nothing."""
+        kind = kind_of(item.frame)
+        if kind is None:
+            return True
+        if not kind.is_autopilot:
+            who = "a ground station" if kind.mav_type == TYPE_GCS else "what is no autopilot"
+            self.counts[f"heartbeat of {who} under a vehicle's id"] += 1
+            self.senders.other_part(row, kind, item.t_rx_ns)
+            return False
+        known = Kind(int(self.mav_type[row]), int(self.autopilot[row]))
+        if self._held and known.mav_type != UNKNOWN and kind != known:
+            self.counts["heartbeat of another kind of vehicle under a vehicle's id"] += 1
+            if item.peer == self.peer[row]:  # from elsewhere it can do no harm
+                self.senders.other_kind(row, kind, item.t_rx_ns)
+            return False
+        return True
 
     def _from_its_address(self, row: int, item: ReceivedFrame) -> bool:
         """Whether a frame comes from where the vehicle is; that may move after a silence only, in the air not far."""
@@ -274,6 +301,9 @@ class Fleet:
 
     def twin_behind_one_address(self, vehicle: int, now_ns: int) -> str | None:
         """The same of one whose frames cannot be told from the vehicle's own: they come from the same address."""
+        alternating = self.senders.alternating(vehicle, now_ns)
+        if alternating is not None:
+            return f"two senders say that they are {self.sysid[vehicle]}, both at {self.peer[vehicle]}: {alternating}"
         times = (self._position_times, self._place_times, self._attitude_times)
         if any(item.two_at_once(vehicle, now_ns) for item in times):
             return (
@@ -313,7 +343,8 @@ class Fleet:
             now_ns: time of the tick.
             limit_s: age from which on that report says nothing of now, shape (n,).
         """
-        return np.asarray((self.landed_state == LANDED_ON_GROUND) & (now_ns - self.landed_ns <= limit_s * 1e9))
+        told = (self.landed_state == LANDED_ON_GROUND) & (now_ns - self.landed_ns <= limit_s * 1e9)
+        return np.asarray(told & ~self.ground_doubted)
 
     def _count(self, event: str, times: int) -> None:
         if times:
@@ -324,8 +355,13 @@ class Fleet:
         acks, self._acks = self._acks, []
         return acks
 
-    def take_texts(self) -> list[Text]:
-        """Hands out the vehicles' own words since the last call."""
+    def take_texts(self, now_ns: int = NEVER) -> list[Text]:
+        """Hands out the vehicles' own words since the last call.
+
+        Args:
+            now_ns: time, by which pieces of a text that do not come are waited for no longer; without it they are.
+        """
+        self._texts.extend(self._under_way.late(now_ns))
         texts, self._texts = self._texts, []
         return texts
 
@@ -341,15 +377,32 @@ class Fleet:
 
     def _heartbeat(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
-        vehicles = values["type"] != _TYPE_GCS  # a second ground station that took a vehicle's id is no vehicle
-        if not vehicles.all():
-            self.counts["heartbeat of a ground station under a vehicle's id"] += int((~vehicles).sum())
-            values, row, t_ns = values[vehicles], row[vehicles], t_ns[vehicles]
+        armed = values["base_mode"] & _ARMED_FLAG != 0
+        mode = values["custom_mode"].astype(np.int64)
+        self.autopilot[row], self.mav_type[row] = values["autopilot"], values["type"]
+        kinds = values["type"].astype(np.int64) << 8 | values["autopilot"]
+        self.senders.heartbeat(row, kinds, armed, mode, t_ns)
+        flies = np.isin(self.landed_state[row], _OFF_THE_GROUND) & (t_ns - self.landed_ns[row] < _LANDED_FRESH_NS)
+        doubted = ~armed & self.armed[row] & flies
+        for k in np.flatnonzero(doubted).tolist():
+            told = (int(t_ns[k]), int(mode[k]), int(values["system_status"][k]))
+            self._told[int(row[k])] = told
+        self.disarm_doubted[row] = doubted
+        if doubted.any():
+            self.counts["heartbeat that says disarmed of one that flies"] += int(doubted.sum())
+            row, t_ns, armed, mode, values = (item[~doubted] for item in (row, t_ns, armed, mode, values))
         self.heartbeat_ns[row] = t_ns
-        self.autopilot[row] = values["autopilot"]
-        self.custom_mode[row] = values["custom_mode"]
-        self.armed[row] = values["base_mode"] & _ARMED_FLAG != 0
+        self.custom_mode[row] = mode
+        self.armed[row] = armed
         self.system_status[row] = values["system_status"]
+
+    def _believe_disarmed(self, vehicle: int) -> None:
+        """Takes the heartbeat that was doubted: the vehicle says that it is on the ground, too."""
+        told = self._told[vehicle]
+        if told is not None:
+            self.heartbeat_ns[vehicle], self.custom_mode[vehicle], self.system_status[vehicle] = told
+            self.armed[vehicle] = self.disarm_doubted[vehicle] = False
+            self._told[vehicle] = None
 
     def _when(self, times: BootTimes, batch: Batch, row: IntArray, t_ns: IntArray) -> tuple[BoolArray, IntArray]:
         """Which rows of a batch are news, and when all of them were measured."""
@@ -379,6 +432,7 @@ class Fleet:
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid: BoolArray = number & fresh
         if not valid.all():
+            self._compare_stragglers(position, velocity, row, t_ns, number & ~fresh)
             self._count("position that is not a number", int((~number).sum()))
             position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
         self.pos_local_ned_m[row] = position
@@ -386,12 +440,20 @@ class Fleet:
         self.pose_ns[row] = measured_ns
         return valid
 
+    def _compare_stragglers(
+        self, position: FloatArray, velocity: FloatArray, row: IntArray, t_ns: IntArray, late: BoolArray
+    ) -> None:
+        """Looks at positions that are older than what is known: those of one vehicle lie on its way."""
+        away = np.linalg.norm(position - self.pos_local_ned_m[row], axis=1)
+        speed = np.linalg.norm(velocity, axis=1) + np.linalg.norm(self.vel_ned_m_s[row], axis=1)
+        for k in np.flatnonzero(late & (away > _TWO_PLACES_M + speed)).tolist():
+            self.senders.other_place(int(row[k]), int(t_ns[k]))
+
     def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
         values = batch.values
         np.add.at(self.seen["GLOBAL_POSITION_INT"], row, 1)
         fresh, measured_ns = self._when(self._place_times, batch, row, t_ns)
-        known: BoolArray = (values["lat"] != 0) | (values["lon"] != 0)  # autopilots send zeros before they know
-        valid: BoolArray = fresh & known
+        valid: BoolArray = fresh & _on_earth(values["lat"], values["lon"])
         place = _place(values["lat"], values["lon"], values["alt"])
         velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1) * 0.01
         self.place_deg_m[row[valid]] = place[valid]
@@ -402,7 +464,9 @@ class Fleet:
     def _origin(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
         places = _place(values["latitude"], values["longitude"], values["altitude"])
-        for vehicle, place, t in zip(row.tolist(), places, t_ns.tolist(), strict=True):
+        known = _on_earth(values["latitude"], values["longitude"])
+        self._count("origin that is no place on earth", int((~known).sum()))
+        for vehicle, place, t in zip(row[known].tolist(), places[known], t_ns[known].tolist(), strict=True):
             north_m, east_m = (place[:2] - self.origin_deg_m[vehicle, :2]) * _METRES_PER_DEGREE
             east_m *= np.cos(np.radians(place[0]))
             moved_m = float(np.sqrt(north_m**2 + east_m**2 + (place[2] - self.origin_deg_m[vehicle, 2]) ** 2))
@@ -413,7 +477,7 @@ class Fleet:
 
     def _home(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
         values = batch.values
-        known = (values["latitude"] != 0) | (values["longitude"] != 0)
+        known = _on_earth(values["latitude"], values["longitude"])
         places = _place(values["latitude"], values["longitude"], values["altitude"])
         self.home_deg_m[row[known]] = places[known]
         local = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
@@ -460,6 +524,7 @@ class Fleet:
         self.battery_remaining[row] = np.where(
             values["battery_remaining"] < 0, np.nan, values["battery_remaining"].astype(np.float64) / 100.0
         )
+        self.senders.battery(row, values["battery_remaining"].astype(np.int64), t_ns)
         millivolts = values["voltage_battery"].astype(np.float64)
         self.battery_v[row] = np.where((millivolts == 0) | (millivolts == _VOLTAGE_UNKNOWN), np.nan, millivolts * 1e-3)
         self.sensors_enabled[row] = values["onboard_control_sensors_enabled"]
@@ -482,8 +547,12 @@ class Fleet:
             self._params.append(ParamValue(vehicle, name, value_bits, int(values["param_type"]), t))
 
     def _extended_state(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
-        self.landed_state[row] = batch.values["landed_state"]
+        landed = batch.values["landed_state"].astype(np.int64)
+        self.landed_state[row] = landed
         self.landed_ns[row] = t_ns
+        self.senders.landed(row, landed, t_ns)
+        for vehicle in row[self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)].tolist():
+            self._believe_disarmed(vehicle)
 
     def _command_ack(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
@@ -491,20 +560,9 @@ class Fleet:
 
     def _statustext(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         for values, vehicle, t in zip(batch.values, row.tolist(), t_ns.tolist(), strict=True):
-            data, number = bytes(values["text"]), int(values["id"])
-            if number:  # a long text comes in pieces, the last of which is not full
-                pieces = self._pieces.setdefault(vehicle, (number, {}))
-                if pieces[0] != number:
-                    pieces = self._pieces[vehicle] = (number, {})
-                pieces[1][int(values["chunk_seq"])] = data
-                if len(data) == _TEXT_BYTES and len(pieces[1]) < _PIECES_MAX:
-                    continue
-                data = b"".join(piece for _, piece in sorted(pieces[1].items()))
-                del self._pieces[vehicle]
-            decoded = data.decode("utf-8", "replace").rstrip("\t\n ")
-            # Whatever could move a terminal's cursor or feign another line is not shown.
-            words = "".join(letter if letter.isprintable() else " " for letter in decoded)
-            self._texts.append(Text(vehicle, int(values["severity"]), words, t))
+            severity, data = int(values["severity"]), bytes(values["text"])
+            number, piece = int(values["id"]), int(values["chunk_seq"])
+            self._texts.extend(self._under_way.take(vehicle, severity, data, t, number=number, piece=piece))
 
     def _timesync_message(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):
@@ -537,6 +595,12 @@ _HANDLERS: dict[str, Callable[[Fleet, Batch, IntArray, IntArray], BoolArray | No
 def _place(lat_e7: NDArray[np.int32], lon_e7: NDArray[np.int32], alt_mm: NDArray[np.int32]) -> FloatArray:
     """Latitude and longitude in degrees and height in metres, shape (k, 3)."""
     return np.stack([lat_e7 * 1e-7, lon_e7 * 1e-7, alt_mm * 1e-3], axis=1)
+
+
+def _on_earth(lat_e7: NDArray[np.int32], lon_e7: NDArray[np.int32]) -> BoolArray:
+    """Which are places on earth, shape (k,): autopilots send zeros, and some the largest number, before they know."""
+    inside = (np.abs(lat_e7.astype(np.int64)) <= 900_000_000) & (np.abs(lon_e7.astype(np.int64)) <= 1_800_000_000)
+    return np.asarray(((lat_e7 != 0) | (lon_e7 != 0)) & inside)
 
 
 def _times(n: int) -> NDArray[np.int64]:

@@ -56,7 +56,9 @@ class Lookout:
             airborne=team.airborne(now_ns),
             going_on=self._machine.going_on,
         )
-        self._act(board.look(sight), poses, now_ns)
+        findings = board.look(sight)
+        fleet.ground_doubted = board.flies
+        self._act(findings, poses, now_ns)
         poses = board.obstacles(poses, fleet, pose_ns, roster, now_ns)
         # Nobody stays under a vehicle that comes down.
         sinking = poses.sinking | (roster.lands_here & fleet.armed) | team.killing.falling(now_ns)

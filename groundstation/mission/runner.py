@@ -104,7 +104,7 @@ class Runner(Told):
         self._last_step_ns = now_ns
         figures.ticks += 1
         self._guarded(now_ns, team.station.ingest)
-        self._guarded(now_ns, self._listen)
+        self._guarded(now_ns, partial(self._listen, now_ns))
         poses = self._poses(now_ns)
         sightless = self._sightless_since_ns != NEVER
         lines, self._lines = self._lines, []
@@ -124,7 +124,7 @@ class Runner(Told):
         self._guarded(now_ns, partial(team.killing.step, now_ns))
         return self._transmitted(now_ns, velocity_ned_m_s)
 
-    def _listen(self) -> None:
+    def _listen(self, now_ns: int) -> None:
         """Takes the vehicles' words and answers."""
         team = self._team
         for outcome in team.station.commands.take_outcomes():
@@ -132,7 +132,7 @@ class Runner(Told):
             team.landing.heard(outcome)
             if team.words.refused(outcome):
                 team.verdict.note("info", f"{team.name(outcome.vehicle)}: {outcome.words()}")
-        for text in team.fleet.take_texts():
+        for text in team.fleet.take_texts(now_ns):
             team.verdict.note("info", f"{team.name(text.vehicle)} says: {text.text}")
             team.words.said(text)
 

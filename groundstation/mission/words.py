@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from groundstation.mavlink.commands import Outcome
-from groundstation.mavlink.vehicle import NEVER, Text
+from groundstation.mavlink.texts import Text
+from groundstation.mavlink.vehicle import NEVER
 
 _KEPT = 3
 _WARNING = 4  # MAV_SEVERITY; what is less severe is no reason

@@ -18,6 +18,7 @@ from groundstation.mission.plan.schema import VehicleSpec
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 from tests.app.commands import gs
+from tests.mavlink.sender import COMPANION, INVALID, Sender
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -184,3 +185,28 @@ def test_one_of_several_links_that_does_not_work_is_a_failure_with_the_others_fo
     assert [vehicle["id"] for vehicle in answer["vehicles"]] == [5]
     assert answer["error"].startswith(f"link {dead}: ")
     assert f"gs: link {dead}: " in err
+
+
+def test_what_no_mission_takes_is_named_and_left_out_of_the_block() -> None:
+    """Frames by pymavlink. On 1719c84 ids 0 and 251 were printed, and fixed wings as if they were multirotors."""
+    discovery = Discovery([parse_address("udpin://0.0.0.0:14540")])
+    for sysid, kind in ((0, 2), (1, 13), (2, 1), (3, 10), (4, 4), (250, 2), (251, 2), (255, 2)):
+        discovery.receive(0, f"p{sysid}", Sender(sysid).heartbeat(kind=kind), SECOND)
+    discovery.receive(0, "p7", Sender(7, 2).heartbeat(), SECOND)
+    discovery.receive(0, "p8", Sender(8).heartbeat(kind=COMPANION, autopilot=INVALID), SECOND)
+    discovery.receive(0, "p1", Sender(1, 2).heartbeat(), SECOND)  # a second one beside it
+    block = discovery.block(SECOND)
+    assert [entry["id"] for entry in yaml.safe_load(block)["vehicles"]] == [1, 250]
+    assert [VehicleSpec.model_validate(entry).id for entry in yaml.safe_load(block)["vehicles"]] == [1, 250]
+    low, high = "missions take ids 1 to 250; give it one (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)", "only multirotors"
+    assert [line for line in discovery.unflown() if low in line] == [f"system {i}: {low}" for i in (0, 251, 255)]
+    assert f"  # system 251 is left out: {low}\n" in block
+    assert [line.partition(":")[0] for line in discovery.unflown() if high in line] == [
+        f"system {i}" for i in (2, 3, 4)
+    ]
+    assert "  # system 2 is left out: it says that it is a fixed wing (MAV_TYPE 1), and only multirotors" in block
+    assert discovery.unflown()[-1].startswith(
+        "system 7: heard as component 2 on udpin://0.0.0.0:14540, and an autopilot"
+    )
+    assert [item.sysid for item in discovery.vehicles()] == [0, 1, 2, 3, 4, 250, 251, 255]
+    assert discovery.vehicles()[1].type_name == "hexarotor (MAV_TYPE 13)"

@@ -169,3 +169,70 @@ def test_two_vehicles_under_one_id_are_told_by_their_times_whatever_their_rates(
             times.take(zero, _ints(boot), _ints(k * 20 * MS))
         assert times.two_at_once(0, 100 * 20 * MS)
         assert not times.two_at_once(0, 10**12)
+
+
+WRAP_MS = 1 << 32
+
+
+def test_a_time_that_begins_again_after_49_days_is_no_restart_and_dates_positions_as_before() -> None:
+    clocks, times, zero = Clocks(1), BootTimes(1), _ints(0)
+    begin_ns = (WRAP_MS - 1007) * MS  # the vehicle's 64 bit clock at our time 0
+    clocks.asked(0, 0)
+    clocks.answered(0, begin_ns, 0, 0)
+    for k in range(200):
+        now_ns = k * 20 * MS
+        boot_ms = (begin_ns + now_ns) // MS % WRAP_MS
+        fresh, restarted = times.take(zero, _ints(boot_ms), _ints(now_ns))
+        assert (bool(fresh[0]), restarted) == (True, [])
+        assert abs(int(clocks.measured_ns(zero, _ints(boot_ms), _ints(now_ns + 5 * MS))[0]) - now_ns) <= MS
+        late, restarted = times.take(zero, _ints((boot_ms - 60) % WRAP_MS), _ints(now_ns))
+        assert (bool(late[0]), restarted) == (False, [])
+    assert not times.two_at_once(0, 4_000 * MS)
+
+
+def test_a_restart_after_months_is_one() -> None:
+    times, zero = BootTimes(1), _ints(0)
+    times.take(zero, _ints(3_000_000_000), zero)
+    news = [times.take(zero, _ints(ms), _ints(ms * MS)) for ms in (100, 120, 140)]
+    assert [restarted for _, restarted in news] == [[], [], [0]]
+
+
+def test_one_message_from_a_time_that_cannot_be_changes_nothing() -> None:
+    for strange_ms in (0, WRAP_MS - 1, 50_000_000):
+        times, zero = BootTimes(1), _ints(0)
+        for k in range(10):
+            assert times.take(zero, _ints(60_000 + 20 * k), _ints(20 * k * MS))[0][0]
+        fresh, restarted = times.take(zero, _ints(strange_ms), _ints(200 * MS))
+        assert (bool(fresh[0]), restarted) == (False, [])
+        for k in range(10, 20):
+            fresh, restarted = times.take(zero, _ints(60_000 + 20 * k), _ints(20 * k * MS))
+            assert (bool(fresh[0]), restarted) == (True, [])
+        assert not times.two_at_once(0, 400 * MS)
+
+
+def test_a_clock_that_was_set_forward_is_followed_and_is_no_restart() -> None:
+    times, zero = BootTimes(1), _ints(0)
+    times.take(zero, _ints(60_000), zero)
+    news = [times.take(zero, _ints(3_660_000 + 20 * k), _ints(20 * k * MS)) for k in range(1, 6)]
+    assert [bool(fresh[0]) for fresh, _ in news] == [False, False, True, True, True]
+    assert not any(restarted for _, restarted in news)
+
+
+def test_one_answer_that_fits_no_other_sets_no_clock_and_no_sum_overflows() -> None:
+    clocks, zero = Clocks(1), _ints(0)
+
+    def answer(now_ns: int, tc1_ns: int) -> bool:
+        clocks.asked(0, now_ns)
+        return clocks.answered(0, tc1_ns, now_ns, now_ns + 2 * MS)
+
+    second = 1_000 * MS
+    for k in range(5):
+        assert not answer(k * second, 70 * second + k * second)
+    for strange in (-(1 << 63), (1 << 63) - 1, 0, 5 * second):
+        assert not answer(6 * second, strange)
+        assert clocks.known[0]
+        assert not answer(7 * second, 77 * second)
+    assert abs(int(clocks.measured_ns(zero, _ints(78_000), _ints(9 * second))[0]) - 8 * second) < 3 * MS
+    # Two that agree are believed: it has started anew.
+    assert not answer(8 * second, 1 * second)
+    assert answer(9 * second, 2 * second)

@@ -17,7 +17,9 @@ from groundstation.app.signing import gate_of
 from groundstation.core.errors import MissionFailed
 from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import parse_address
+from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import Outgoing
+from groundstation.mission.plan.schema import VEHICLE_IDS
 
 _DEFAULT = ["udpin://0.0.0.0:14540"]
 
@@ -67,11 +69,13 @@ def vehicles(
             gate.close()
             troubles += gate.words([address.url for address in addresses], {})
     found, doubles = discovery.vehicles(), discovery.doubles(now_ns)
-    _show(out, discovery, [*troubles, *doubles], now_ns)
+    unflown = discovery.unflown()
+    _show(out, discovery, [*troubles, *doubles, *unflown], now_ns)
     failures = [*broken, *doubles]
     if not found:
         looked = ", ".join(address.url for address in addresses)
         failures = [f"no vehicle was heard in {seconds:g} s on {looked}; is it switched on, and the address right?"]
+        failures += unflown
     failed = {"error": "; ".join(failures), "exit_code": MissionFailed.exit_code} if failures else {}
     out.result(
         {
@@ -80,6 +84,8 @@ def vehicles(
                     "id": item.sysid,
                     "link": addresses[item.link].url,
                     "autopilot": item.autopilot.name if item.autopilot else None,
+                    "type": item.type_name,
+                    "why_not": item.why_not,
                     "version": item.version,
                     "mode": item.mode_name,
                     "armed": item.armed,
@@ -87,7 +93,7 @@ def vehicles(
                 }
                 for item in found
             ],
-            "problems": [*troubles, *doubles],
+            "problems": [*troubles, *doubles, *unflown],
             "block": discovery.block(now_ns),
             **failed,
         }
@@ -97,12 +103,15 @@ def vehicles(
 
 
 def _show(out: Output, discovery: Discovery, problems: list[str], now_ns: int) -> None:
-    table = Table("id", "autopilot", "version", "mode", "armed", "place")
+    table = Table("id", "autopilot", "type", "version", "mode", "armed", "place")
     for item in discovery.vehicles():
         name = item.autopilot.name if item.autopilot else f"MAV_AUTOPILOT {item.mav_autopilot}, not flown by gs"
         place = item.place_deg_m
         where = f"{place[0]:.6f} {place[1]:.6f} {place[2]:.1f} m" if place else "-"
-        table.add_row(str(item.sysid), name, item.version or "-", item.mode_name, "yes" if item.armed else "no", where)
+        kind = item.type_name if unflown_words(item.mav_type) is None else f"{item.type_name}, not flown by gs"
+        sysid = str(item.sysid) if item.sysid in VEHICLE_IDS else f"{item.sysid}, no vehicle's"
+        armed = "yes" if item.armed else "no"
+        table.add_row(sysid, name, kind, item.version or "-", item.mode_name, armed, where)
     out.console.print(table)
     for problem in problems:
         out.console.print(Text(problem, style="bold red"))

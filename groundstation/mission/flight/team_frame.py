@@ -25,6 +25,8 @@ _LOOK_NS = 200_000_000
 _ATTITUDE_PERIODS = 4  # of a lean link's attitudes that may be missing
 _COMPARE_AGAIN_NS = 400_000_000  # two comparisons sooner after each other are one
 _TOGETHER_NS = 300_000_000  # no further than this is a position brought by its velocity for a comparison
+_NO_HEIGHT_M = 10_000.0  # no vehicle is so high: the earth bends that much
+_FAR_ORIGIN_M = 3_000.0  # local positions are coarse and bent so far from where they count from
 _COMPARED_NS = 10 * _SECOND_NS  # after this a comparison says nothing of now
 
 
@@ -103,6 +105,13 @@ class TeamFrame:
     def _origins_deg_m(self, fleet: Fleet) -> FloatArray:
         """Origins as told, and as derived where they are not told."""
         return np.where(np.isfinite(fleet.origin_deg_m), fleet.origin_deg_m, self._derived_deg_m)
+
+    def far_from_origin(self, fleet: Fleet, vehicle: int) -> bool:
+        """Whether a vehicle's global position is kilometres from its own origin, which somebody has set wrong then."""
+        place, origin = fleet.place_deg_m[vehicle], fleet.origin_deg_m[vehicle]
+        if not (np.isfinite(place).all() and np.isfinite(origin).all()):
+            return False
+        return bool(np.linalg.norm(pymap3d.geodetic2ned(*place, *origin)) > _FAR_ORIGIN_M)
 
     def hold_anchor(self) -> None:
         """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
@@ -212,6 +221,18 @@ class TeamFrame:
         gap[self._gps, 2] /= 3.0
         return np.asarray(np.linalg.norm(gap, axis=1))
 
+    def off_pad_on_earth_m(self, fleet: Fleet, now_ns: int, old_ns: int) -> FloatArray:
+        """How far from their pads, horizontally, the vehicles are by their global positions alone, shape (n,).
+
+        NaN where that, or the anchor, is not known, or is older than a time.
+        """
+        told = self._gps & (now_ns - fleet.place_ns <= old_ns)
+        gap = self._from_anchor(np.where(told[:, None], fleet.place_deg_m, np.nan)) - self._pads_ned_m
+        # Chords of the earth: what is far away is below the horizon, too.
+        return np.asarray(
+            np.where(np.abs(gap[:, 2]) > 10_000.0, np.linalg.norm(gap, axis=1), np.hypot(gap[:, 0], gap[:, 1]))
+        )
+
     def drift_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
         """How far the local and the global position of a vehicle disagree, shape (n,); NaN where not known.
 
@@ -261,6 +282,7 @@ class TeamFrame:
         place = fleet.place_deg_m[first]
         if not self._global[first]:
             origin = self._origins_deg_m(fleet)[first]
-            place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *origin))
+            if not self.far_from_origin(fleet, first):
+                place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *origin))
         if np.isfinite(place).all():
             self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)

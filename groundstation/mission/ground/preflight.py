@@ -14,12 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
-from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
 from groundstation.mission.blame import HELP_IN_THE_AIR
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.check_table import CheckRow, check_rows
 from groundstation.mission.ground.checks import Checks
+from groundstation.mission.ground.origins import Origins
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 
@@ -33,11 +35,8 @@ _REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * _SECOND_NS, 10 * _SECOND_NS
 _REASON_PATIENCE_NS = 3 * _SECOND_NS
 REASONS_NS = 12 * _SECOND_NS
 """Words older than this no longer tell why a vehicle cannot be armed, where newer ones are there."""
-_ORIGIN_AGAIN_NS = 2 * _SECOND_NS
-_ORIGIN_TRIES = 5
 _UNANSWERED = 2  # commands in a row, each sent four times: on a lossy link this is no chance
 _PROBE_AGAIN_NS = 2 * _SECOND_NS
-_ORIGIN_ASKS = 5  # unanswered, then the origin is taken from the two positions
 _SYNC_SAMPLES = 3
 _ARMED_PATIENCE_NS = 3 * _SECOND_NS  # heartbeats and landed states of the whole team
 _SYNC_PATIENCE_NS = 5 * _SECOND_NS
@@ -88,15 +87,11 @@ class Preflight:
     def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame, *, look_only: bool = False) -> None:
         self._plan, self._station, self._frame = plan, station, frame
         self._rates = [_Rates() for _ in range(plan.size)]
-        self._origin_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
-        self._origin_set: FloatArray = np.zeros(plan.size)
         self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._reason_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._reason_asks = np.zeros(plan.size, dtype=np.int64)
         self._unready_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
-        self._origin_asks = np.zeros(plan.size, dtype=np.int64)
-        self._derived: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
         self._told_slow: BoolArray = np.zeros(plan.size, dtype=np.bool_)
@@ -104,6 +99,7 @@ class Preflight:
         self._checked = [False] * plan.size
         self._bytes_ns, self._bytes_then = NEVER, Counter[int]()
         self._bytes_s: dict[int, float] = {}
+        self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
 
     def step(self, now_ns: int, said: Mapping[int, str]) -> GroundState:
@@ -115,12 +111,13 @@ class Preflight:
         """
         fleet, state = self._station.fleet, GroundState()
         self._frame.look(fleet, now_ns)
+        self._origins.look(now_ns)
         self._count_bytes(now_ns)
         off_m = self._frame.off_pad_m(fleet, now_ns)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
         # A place that is in doubt accuses nobody else.
-        doubted = self._doubted(now_ns)
+        doubted = self._origins.doubted(now_ns)
         positions = np.where(doubted[:, None], np.nan, self._frame.poses(fleet, now_ns).pos_team_ned_m)
         self._checked = [False] * self._plan.size
         held: list[str] = []  # told together, when nothing else is waited for
@@ -134,6 +131,7 @@ class Preflight:
                     f"{name}: {twin}; give each vehicle its own id (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)"
                 )
                 continue
+            self._tell_part(vehicle, now_ns, state)
             if fleet.heartbeat_ns[vehicle] == NEVER:
                 if fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
                     state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
@@ -148,12 +146,15 @@ class Preflight:
                     f" {autopilot.mav_autopilot}; correct vehicles[{vehicle}].autopilot"
                 )
                 continue
+            if (kind := unflown_words(int(fleet.mav_type[vehicle]))) is not None:
+                state.fatal.append(f"{name}: {kind}; correct its type or frame, or take it out of the mission")
+                continue
             if fleet.armed.any():  # then nothing is asked of the others, and nothing set
                 if fleet.armed[vehicle]:
                     self._armed(vehicle, now_ns, state)
                 continue
             self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
-            self._ask_for_origin(vehicle, now_ns)
+            self._origins.ask(vehicle, now_ns)
             self.checks.ask(vehicle, now_ns)
             problem = (
                 self._deaf(vehicle, now_ns)
@@ -165,6 +166,9 @@ class Preflight:
             )
             held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
             state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
+            far = self._origins.far_away(vehicle, now_ns)
+            if far is not None:
+                state.fatal.append(f"{name}: {far}")
             self._checked[vehicle] = problem is None
             if problem is not None:
                 state.waiting.append(f"{name}: {problem}")
@@ -283,6 +287,16 @@ class Preflight:
                 f" {rates.hz[1]:.0f} attitudes per second, {planned.pose_hz:.0f} were asked for; flying with that"
             )
 
+    def _tell_part(self, vehicle: int, now_ns: int, state: GroundState) -> None:
+        """Tells of a companion, a camera or a ground station that speaks as if it were the autopilot."""
+        part = self._station.fleet.senders.part(vehicle, now_ns)
+        if part is not None:
+            state.notes.append(
+                f"vehicle {self._plan.spec.vehicles[vehicle].id}: under its id and component {AUTOPILOT_COMPID} speaks"
+                f" also what is no autopilot, {part.words}; its heartbeats count for nothing; give it a component of"
+                " its own"
+            )
+
     def _no_heartbeat(self, vehicle: int) -> str:
         """Words for one of which everything arrives but heartbeats."""
         plan, link = self._plan, self._plan.link_of_vehicle[vehicle]
@@ -314,6 +328,15 @@ class Preflight:
     def _where_else(self, vehicle: int, now_ns: int) -> str:
         plan, fleet = self._plan, self._station.fleet
         spec = plan.spec.vehicles[vehicle]
+        component = fleet.senders.component(vehicle, now_ns)
+        if component is not None:
+            return (
+                f"heard as component {component}, and an autopilot has to be component {AUTOPILOT_COMPID}; correct"
+                " MAV_COMP_ID, or the program that speaks in its name"
+            )
+        part = fleet.senders.part(vehicle, now_ns)
+        if part is not None:
+            return f"heard under its id is only what is no autopilot, {part.words}; switch the autopilot on"
         other = [plan.links[link] for link in fleet.links_of(spec.id, now_ns)]
         if other:
             return f"a system {spec.id} is heard on {', '.join(other)}; correct its link"
@@ -458,19 +481,19 @@ class Preflight:
         fleet, plan = self._station.fleet, self._plan
         off_m, drift_m = off_and_drift_m
         first = self._frame.hangs_on
-        if first is not None and first != vehicle and plan.uses_gps(vehicle) and self._origin_in_doubt(first, now_ns):
+        if first is not None and first != vehicle and plan.uses_gps(vehicle) and self._origins.in_doubt(first, now_ns):
             return None  # told of the first one, on which this place hangs
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
-            if np.isnan(fleet.origin_deg_m[vehicle]).any() and not self._derived[vehicle]:
+            if self._origins.untold(vehicle):
                 return "has not told its origin (GPS_GLOBAL_ORIGIN) yet; has it a GPS position?"
-            if self._origin_in_doubt(vehicle, now_ns):
+            if self._origins.in_doubt(vehicle, now_ns):
                 return (
                     f"reports two different origins, {fleet.origin_moved_m[vehicle]:.2f} m apart; wait until its"
                     " estimator has settled, or restart it"
                 )
-            if self._origin_wanted(vehicle):
-                return "was given the team's origin, has not taken it yet"
-            if self._derived[vehicle]:
+            if (origin := self._origins.waiting(vehicle)) is not None:
+                return origin
+            if self._origins.derived(vehicle):
                 state.notes.append(
                     f"vehicle {plan.spec.vehicles[vehicle].id}: does not tell its origin (GPS_GLOBAL_ORIGIN); it is"
                     " taken from its local and global positions"
@@ -489,61 +512,6 @@ class Preflight:
                 f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
             )
         return None
-
-    # Origins
-
-    def _origin_in_doubt(self, vehicle: int, now_ns: int) -> bool:
-        plan, fleet = self._plan, self._station.fleet
-        told = plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local"
-        return told and fleet.origin_unsteady(vehicle, now_ns) and not self._was_given_origin(vehicle)
-
-    def _doubted(self, now_ns: int) -> BoolArray:
-        """Vehicles whose place means nothing at the moment, shape (n,): their origin moves, or the first one's does."""
-        doubted = np.array([self._origin_in_doubt(vehicle, now_ns) for vehicle in range(self._plan.size)])
-        first = self._frame.hangs_on
-        if first is not None and doubted[first]:
-            doubted |= np.array([self._plan.uses_gps(vehicle) for vehicle in range(self._plan.size)])
-        return doubted
-
-    def _was_given_origin(self, vehicle: int) -> bool:
-        return bool(self._origin_set[vehicle]) and self._frame.has_common_origin(self._station.fleet, vehicle)
-
-    def _origin_wanted(self, vehicle: int) -> bool:
-        """Whether a vehicle is to take the team's origin, could, has not, and is not hopeless."""
-        return (
-            self._plan.spec.set_gps_origin
-            and self._plan.autopilots[vehicle].takes_origin
-            and self._origin_set[vehicle] < _ORIGIN_TRIES
-            and not self._frame.has_common_origin(self._station.fleet, vehicle)
-        )
-
-    def _ask_for_origin(self, vehicle: int, now_ns: int) -> None:
-        plan, fleet = self._plan, self._station.fleet
-        if not plan.uses_gps(vehicle) or plan.spec.vehicles[vehicle].position != "local":
-            return
-        if now_ns - self._origin_asked_ns[vehicle] < _ORIGIN_AGAIN_NS or self._station.commands.pending(vehicle):
-            return
-        self._origin_asked_ns[vehicle] = now_ns
-        anchor, first = self._frame.anchor_deg_m, self._frame.hangs_on
-        steady = first is None or not self._origin_in_doubt(first, now_ns)
-        told = bool(np.isfinite(fleet.origin_deg_m[vehicle]).all())
-        if anchor is not None and steady and told and self._origin_wanted(vehicle):
-            self._frame.hold_anchor()
-            self._origin_set[vehicle] += 1
-            self._station.send(
-                vehicle,
-                "SET_GPS_GLOBAL_ORIGIN",
-                target_system=int(fleet.sysid[vehicle]),
-                latitude=round(anchor[0] * 1e7),
-                longitude=round(anchor[1] * 1e7),
-                altitude=round(anchor[2] * 1e3),
-            )
-        self._station.commands.request(vehicle, plan.autopilots[vehicle].once("GPS_GLOBAL_ORIGIN"))
-        self._origin_asks[vehicle] += 1
-        untold = bool(np.isnan(fleet.origin_deg_m[vehicle]).any())
-        self._derived[vehicle] = (
-            untold and self._origin_asks[vehicle] > _ORIGIN_ASKS and self._frame.derive_origin(fleet, vehicle)
-        )
 
 
 def _age_s(now_ns: int, then_ns: int) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.contradictions import Contradictions
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
@@ -46,9 +47,11 @@ class Board:
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self._modes, self._following = Modes(plan), Following(plan)
+        self._contradictions = Contradictions(plan)
         self._monitors: tuple[Monitor, ...] = (
             self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
             BeyondFence(plan), self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
+            self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
@@ -62,6 +65,11 @@ class Board:
     def foreign(self) -> BoolArray:
         """Armed vehicles that do not follow our setpoints at this moment, for whatever reason, shape (n,)."""
         return self._modes.foreign
+
+    @property
+    def flies(self) -> BoolArray:
+        """Vehicles that say that they stand on the ground and are seen to fly, shape (n,)."""
+        return self._contradictions.flies
 
     def begin(self, fleet: Fleet) -> None:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""

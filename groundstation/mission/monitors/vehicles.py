@@ -54,7 +54,9 @@ class Modes:
         follows = np.array([autopilot.is_streaming_mode(mode) for autopilot, mode in modes]) & fleet.armed
         # The heartbeat tells a new mode up to a second late; that it is landing, EXTENDED_SYS_STATE tells sooner.
         self.foreign = (~follows | (fleet.landed_state == LANDED_LANDING)) & fleet.armed
-        for vehicle in self._lasting(~follows & ours & ~sight.excused, sight.now_ns):
+        # While two senders take turns nobody knows whose mode that is; that there are two is told soon.
+        clear = ~fleet.senders.in_doubt(sight.now_ns)
+        for vehicle in self._lasting(~follows & ours & ~sight.excused & clear, sight.now_ns):
             mode = self._autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
             what = f"left for mode {mode}" if fleet.armed[vehicle] else "disarmed by itself"
             yield Finding(Reaction.RELEASE, what, (vehicle,))

@@ -21,8 +21,9 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import Station
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER
+from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
@@ -127,7 +128,12 @@ class TakeOver:
             if self._on_the_ground(vehicle):
                 self._came_down[vehicle] |= roster.steered[vehicle]
                 roster.let_go(vehicle)
-                if self._came_down[vehicle]:
+                if not fleet.armed[vehicle] and fleet.landed_state[vehicle] in (LANDED_IN_AIR, LANDED_LANDING):
+                    state.problems.append(
+                        f"{name}: its heartbeats say disarmed, its landed state that it flies; which is true is not"
+                        " known, and it is not touched"
+                    )
+                elif self._came_down[vehicle]:
                     state.problems.append(f"{name}: has come down by its own failsafe before it could be brought home")
                 continue
             problem = self._not_ours(vehicle, now_ns)
@@ -184,6 +190,9 @@ class TakeOver:
             return f"last heartbeat {(now_ns - int(fleet.heartbeat_ns[vehicle])) / _SECOND_NS:.1f} s ago"
         if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
             return f"its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}; correct vehicles[{vehicle}].autopilot"
+        kind = unflown_words(int(fleet.mav_type[vehicle]))
+        if kind is not None:
+            return f"{kind}; it is left alone"
         twin = fleet.twin(vehicle, now_ns)
         if twin is not None:
             return f"{twin}; neither is touched"

@@ -21,6 +21,8 @@ Number = Annotated[float, BeforeValidator(_no_boolean), Field(allow_inf_nan=Fals
 Point = tuple[Number, Number, Number]
 Positive = Annotated[Number, Field(gt=0, le=10_000)]
 NotNegative = Annotated[Number, Field(ge=0, le=10_000)]
+VEHICLE_IDS = range(1, 251)
+"""System ids that a vehicle may have: 0 means everybody, those above are ground stations' and other programs'."""
 
 
 class _Strict(BaseModel):
@@ -177,7 +179,7 @@ class SigningSpec(LinkSigningSpec):
 class VehicleSpec(_Strict):
     """One vehicle, its pad, and where its position counts from."""
 
-    id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=1, le=250)]
+    id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=VEHICLE_IDS.start, lt=VEHICLE_IDS.stop)]
     link: str
     autopilot: str = "px4"
     profile: str = "crazyflie"

@@ -1,0 +1,181 @@
+"""Origins of the vehicles' local frames on earth: asked for, compared with the mission, and only then given.
+
+Nobody is given an origin before every vehicle's global position was held against its pad: what is written is the
+anchor, and an anchor that is wrong is written nowhere. Global positions do not hang on any origin, so that a vehicle
+in which somebody has set a wrong one is judged like the others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pymap3d
+
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.station import Station
+from groundstation.mavlink.vehicle import NEVER
+from groundstation.mission.flight.team_frame import TeamFrame
+from groundstation.mission.plan.plan import MissionPlan
+
+_SECOND_NS = 1_000_000_000
+_AGAIN_NS = 2 * _SECOND_NS
+_TRIES = 5
+_ASKS = 5  # unanswered, then the origin is taken from the two positions
+_OLD_NS = 15 * _SECOND_NS  # narrow links tell a global position every few seconds
+_FAR_M = 3_000.0
+"""No team flies so far from where its frame begins, and local positions, single floats, are coarse there."""
+_FAR_NS = 2 * _SECOND_NS  # so long a place has to be far away before the mission is refused
+
+
+class Origins:
+    """Origins of n vehicles.
+
+    Args:
+        plan: pads, anchor, who uses GPS.
+        station: what is asked and given goes out by it.
+        frame: knows the anchor.
+    """
+
+    def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame) -> None:
+        n = plan.size
+        self._plan, self._station, self._frame = plan, station, frame
+        self._gps: BoolArray = np.array([plan.uses_gps(vehicle) for vehicle in range(n)])
+        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._asks = np.zeros(n, dtype=np.int64)
+        self._given = np.zeros(n, dtype=np.int64)
+        self._far_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._off_m: FloatArray = np.full(n, np.nan)
+        self._derived: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    def look(self, now_ns: int) -> None:
+        """Compares everybody's place on earth with its pad; once per tick, before anything else."""
+        if not self._gps.any():
+            return
+        self._off_m = self._frame.off_pad_on_earth_m(self._station.fleet, now_ns, _OLD_NS)
+        far = self._off_m > _FAR_M  # NaN is not
+        self._far_since_ns = np.where(far, np.where(self._far_since_ns == NEVER, now_ns, self._far_since_ns), NEVER)
+
+    def far_away(self, vehicle: int, now_ns: int) -> str | None:
+        """Words for a vehicle that is in quite another place than the mission says; None for the others."""
+        since_ns = int(self._far_since_ns[vehicle])
+        if since_ns == NEVER or now_ns - since_ns < _FAR_NS:
+            return None
+        km = self._off_m[vehicle] / 1e3
+        first, anchor = self._frame.hangs_on, self._plan.spec.anchor
+        place = self._station.fleet.place_deg_m[vehicle]
+        here = f"it is at {place[0]:.5f}, {place[1]:.5f}"
+        if anchor is None:
+            name = "?" if first is None else self._plan.spec.vehicles[first].id
+            return (
+                f"{here}, {km:,.0f} km from its pad as vehicle {name} places it, limit {_FAR_M / 1e3:g} km; one of the"
+                " two has a wrong position: wait for GPS, or restart it"
+            )
+        return (
+            f"{here}, {km:,.0f} km from its pad by the mission's anchor ({anchor.lat_deg:.5f}, {anchor.lon_deg:.5f}),"
+            f" limit {_FAR_M / 1e3:g} km; {self._guess(place)}"
+        )
+
+    def _guess(self, place_deg_m: FloatArray) -> str:
+        """What may be wrong with the anchor."""
+        anchor = self._plan.spec.anchor
+        assert anchor is not None  # noqa: S101 - asked only where there is one
+        lat, lon = anchor.lat_deg, anchor.lon_deg
+        for guess, words in (
+            ((lon, lat), "are anchor.lat_deg and anchor.lon_deg swapped?"),
+            ((-lat, lon), "is the sign of anchor.lat_deg wrong?"),
+            ((lat, -lon), "is the sign of anchor.lon_deg wrong?"),
+            ((-lat, -lon), "are the signs of anchor.lat_deg and anchor.lon_deg wrong?"),
+        ):
+            if abs(guess[0]) <= 90.0:
+                away = pymap3d.geodetic2enu(*place_deg_m[:2], 0.0, *guess, 0.0)
+                if np.hypot(away[0], away[1]) <= _FAR_M:
+                    return words
+        return "correct anchor.lat_deg and anchor.lon_deg (are they swapped?), or wait for its GPS"
+
+    def compared(self) -> bool:
+        """Whether everybody that uses GPS is where the mission says, by its global position."""
+        return bool((self._off_m[self._gps] <= self._plan.pad_error_m).all())
+
+    def in_doubt(self, vehicle: int, now_ns: int) -> bool:
+        """Whether what a vehicle told of its origin of late does not agree with itself."""
+        fleet = self._station.fleet
+        return self._by_origin(vehicle) and fleet.origin_unsteady(vehicle, now_ns) and not self._was_given(vehicle)
+
+    def doubted(self, now_ns: int) -> BoolArray:
+        """Vehicles whose place means nothing at the moment, shape (n,): their origin moves, or the first one's does."""
+        doubted = np.array([self.in_doubt(vehicle, now_ns) for vehicle in range(self._plan.size)])
+        first = self._frame.hangs_on
+        if first is not None and doubted[first]:
+            doubted |= self._gps
+        return doubted
+
+    def untold(self, vehicle: int) -> bool:
+        """Whether a vehicle's origin is neither told nor worked out."""
+        return bool(np.isnan(self._station.fleet.origin_deg_m[vehicle]).any()) and not self._derived[vehicle]
+
+    def derived(self, vehicle: int) -> bool:
+        """Whether it was worked out from a vehicle's two positions."""
+        return bool(self._derived[vehicle])
+
+    def wanted(self, vehicle: int) -> bool:
+        """Whether a vehicle is to take the team's origin, could, has not, and is not hopeless."""
+        return (
+            self._plan.spec.set_gps_origin
+            and self._plan.autopilots[vehicle].takes_origin
+            and self._given[vehicle] < _TRIES
+            and not self._frame.has_common_origin(self._station.fleet, vehicle)
+        )
+
+    def waiting(self, vehicle: int) -> str | None:
+        """What an origin that is still to be given waits for, and what is wrong with one that nobody corrects."""
+        spec = self._plan.spec
+        if not self.wanted(vehicle):
+            if self._by_origin(vehicle) and self._frame.far_from_origin(self._station.fleet, vehicle):
+                return (
+                    "its origin (GPS_GLOBAL_ORIGIN) is kilometres from where it stands, somebody has set a wrong one;"
+                    " restart it" + ("" if spec.set_gps_origin else ", or set_gps_origin: true")
+                )
+            return None
+        off_m = float(self._off_m[vehicle])
+        if np.isnan(off_m):
+            return "is to be given the team's origin, and has not told its global position (GLOBAL_POSITION_INT) yet"
+        if off_m > self._plan.pad_error_m:
+            return (
+                f"reports a global position {off_m:,.2f} m from its pad, limit {self._plan.pad_error_m:.3g} m; put it"
+                " on its pad, or correct pad_m or the anchor; it is not given the team's origin before"
+            )
+        if not self.compared():
+            return "is given the team's origin when everybody is where the mission says"
+        return "was given the team's origin, has not taken it yet"
+
+    def ask(self, vehicle: int, now_ns: int) -> None:
+        """Asks a vehicle for its origin, and gives it the team's where that is wanted and everybody was compared."""
+        plan, fleet = self._plan, self._station.fleet
+        if not self._by_origin(vehicle):
+            return
+        if now_ns - self._asked_ns[vehicle] < _AGAIN_NS or self._station.commands.pending(vehicle):
+            return
+        self._asked_ns[vehicle] = now_ns
+        anchor, first = self._frame.anchor_deg_m, self._frame.hangs_on
+        steady = first is None or not self.in_doubt(first, now_ns)
+        told = bool(np.isfinite(fleet.origin_deg_m[vehicle]).all())
+        if anchor is not None and steady and told and self.wanted(vehicle) and self.compared():
+            self._frame.hold_anchor()
+            self._given[vehicle] += 1
+            self._station.send(
+                vehicle,
+                "SET_GPS_GLOBAL_ORIGIN",
+                target_system=int(fleet.sysid[vehicle]),
+                latitude=round(anchor[0] * 1e7),
+                longitude=round(anchor[1] * 1e7),
+                altitude=round(anchor[2] * 1e3),
+            )
+        self._station.commands.request(vehicle, plan.autopilots[vehicle].once("GPS_GLOBAL_ORIGIN"))
+        self._asks[vehicle] += 1
+        untold = bool(np.isnan(fleet.origin_deg_m[vehicle]).any())
+        self._derived[vehicle] = untold and self._asks[vehicle] > _ASKS and self._frame.derive_origin(fleet, vehicle)
+
+    def _by_origin(self, vehicle: int) -> bool:
+        return bool(self._gps[vehicle]) and self._plan.spec.vehicles[vehicle].position == "local"
+
+    def _was_given(self, vehicle: int) -> bool:
+        return bool(self._given[vehicle]) and self._frame.has_common_origin(self._station.fleet, vehicle)

@@ -1,0 +1,243 @@
+"""Flights in which somebody says what is not so: under a vehicle's id, from its address, in frames of pymavlink."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from groundstation.mavlink.codec import Frame as WireFrame
+from groundstation.mavlink.codec import FrameSplitter, message_id
+from groundstation.mission.runner import Phase
+from sitl.world import Outgoing, World, WorldConfig
+from tests.app.flights import SECOND_NS, Flight, Tamper, pair
+from tests.app.test_fleets import _assert_flown, _assert_on_the_ground
+from tests.mavlink.sender import (
+    ARMED,
+    COMPANION,
+    DISARMED,
+    FIXED_WING,
+    INVALID,
+    LOITER,
+    OFFBOARD,
+    ON_GROUND,
+    ROVER,
+    Sender,
+)
+
+SHORT = "limits.preflight_s=12"
+PX4_TWICE = ("px4", "px4")
+NAMES = ("HEARTBEAT", "EXTENDED_SYS_STATE", "GPS_GLOBAL_ORIGIN")
+HEARTBEAT, LANDED, ORIGIN = (message_id(name) for name in NAMES)
+SET_ORIGIN = message_id("SET_GPS_GLOBAL_ORIGIN")
+
+
+def _besides(raw: Callable[[], bytes], every_s: float, when: Callable[[Flight], bool]) -> Tamper:
+    """A second sender behind the address of vehicle 1."""
+    last = [-SECOND_NS]
+
+    def add(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index or not when(flight) or flight.now_ns - last[0] < every_s * SECOND_NS:
+            return [datagram]
+        last[0] = flight.now_ns
+        return [datagram, datagram._replace(data=raw())]
+
+    return add
+
+
+def _instead(msgid: int, raw: Callable[[], bytes], when: Callable[[Flight], bool]) -> Tamper:
+    """Vehicle 1 says something else than what is so, in one kind of message."""
+
+    def put(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index or not when(flight):
+            return [datagram]
+        pieces = [piece for piece in FrameSplitter().feed(datagram.data) if isinstance(piece, WireFrame)]
+        return [datagram._replace(data=b"".join(raw() if item.msgid == msgid else item.raw for item in pieces))]
+
+    return put
+
+
+def _holding(flight: Flight) -> bool:
+    return Phase.HOLD in flight.phase_seen
+
+
+def _always(_flight: Flight) -> bool:
+    return True
+
+
+def _assert_brought_home(flight: Flight, words: str) -> None:
+    """By the emulator's truth: nobody was left hovering, and nobody came down anywhere but on its pad."""
+    assert flight.runner.outcome == "aborted"
+    assert words in flight.runner.reason
+    assert any(words in text for text in flight.texts("alarm"))
+    assert "released" not in flight.runner.reason
+    assert not flight.world.truth.armed.any()
+    assert not flight.world.truth.airborne.any()
+    pads = flight.plan.pads_enu_m
+    assert (abs(flight.world.truth.pos_enu_m - pads)[:, :2] < 2.0).all()
+
+
+def test_a_companion_that_speaks_as_the_autopilot_changes_nothing() -> None:
+    """On 1719c84: "disarmed by itself; it is released", and it was left hovering while the program ended."""
+    companion = Sender(1)
+
+    def raw() -> bytes:
+        return companion.heartbeat(DISARMED, 0, kind=COMPANION, autopilot=INVALID)
+
+    flight = Flight(pair(autopilots=PX4_TWICE), tamper=_besides(raw, 0.2, _always))
+    _assert_flown(flight)
+    (note,) = [text for text in flight.texts("info") if "speaks also what is no autopilot" in text]
+    assert note.startswith(
+        "vehicle 1: under its id and component 1 speaks also what is no autopilot, onboard controller"
+    )
+
+
+@pytest.mark.parametrize("every_s", [1.0, 0.1])
+def test_a_second_autopilot_of_its_kind_behind_its_address_brings_everybody_home(every_s: float) -> None:
+    twin = Sender(1)
+    plan = pair("steps.1.hold.seconds=20", autopilots=PX4_TWICE)
+    flight = Flight(plan, tamper=_besides(lambda: twin.heartbeat(DISARMED, LOITER), every_s, _holding))
+    _assert_brought_home(flight, "vehicle 1: two senders say that they are 1, both at emulator:1: their ")
+
+
+LIES: dict[str, tuple[int, Callable[[Sender], bytes], str]] = {
+    "disarmed": (
+        HEARTBEAT,
+        lambda sender: sender.heartbeat(DISARMED, OFFBOARD),
+        "vehicle 1: its heartbeats say disarmed, its landed state that it flies; it counts as flying",
+    ),
+    "on the ground": (
+        LANDED,
+        lambda sender: sender.landed(ON_GROUND),
+        "vehicle 1: says that it stands on the ground, ",
+    ),
+    "a fixed wing": (
+        HEARTBEAT,
+        lambda sender: sender.heartbeat(ARMED, OFFBOARD, kind=FIXED_WING),
+        "vehicle 1: heartbeats of a fixed wing (MAV_TYPE 1), MAV_AUTOPILOT 12 come under its id, it is a quadrotor",
+    ),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_one_word_against_all_others_is_told_and_nobody_is_left_in_the_air(lie: str) -> None:
+    """It begins while holding and ends when the team is over its pads: what lands is told by the true words."""
+    msgid, make, words = LIES[lie]
+    liar = Sender(1)
+
+    def lies(flight: Flight) -> bool:
+        return _holding(flight) and Phase.LAND not in flight.phase_seen
+
+    plan = pair("steps.1.hold.seconds=20", autopilots=PX4_TWICE)
+    flight = Flight(plan, tamper=_instead(msgid, lambda: make(liar), lies))
+    _assert_brought_home(flight, words)
+
+
+@pytest.mark.parametrize("kind", [FIXED_WING, ROVER, 4, 20, 0])
+def test_what_is_no_multirotor_is_refused_by_its_type(kind: int) -> None:
+    """On 1719c84 fixed wings and rovers passed preflight."""
+    sender = Sender(1)
+    raw = _instead(HEARTBEAT, lambda: sender.heartbeat(DISARMED, LOITER, kind=kind), _always)
+    flight = Flight(pair(SHORT, autopilots=PX4_TWICE), tamper=raw)
+    _assert_on_the_ground(flight)
+    assert flight.runner.outcome == "refused"
+    assert flight.runner.reason.startswith("vehicle 1: it says that it is a ")
+    assert "only multirotors are flown" in flight.runner.reason
+
+
+@pytest.mark.parametrize("kind", [3, 13, 14, 15, 29, 35, 43])
+def test_every_multirotor_is_let_through(kind: int) -> None:
+    sender = Sender(1)
+    raw = _instead(HEARTBEAT, lambda: sender.heartbeat(DISARMED, LOITER, kind=kind), _always)
+    flight = Flight(pair("limits.preflight_s=2", autopilots=PX4_TWICE), tamper=raw)
+    assert "multirotor" not in flight.runner.reason
+
+
+def test_an_autopilot_on_component_2_is_told_by_name() -> None:
+    """On 1719c84: "no heartbeat", though thousands of its frames were counted."""
+    second = Sender(1, 2)
+
+    def as_second(datagram: Outgoing, _flight: Flight) -> list[Outgoing]:
+        return [datagram if datagram.vehicle_index else datagram._replace(data=second.heartbeat(DISARMED, LOITER))]
+
+    flight = Flight(pair("limits.preflight_s=3", autopilots=PX4_TWICE), tamper=as_second)
+    _assert_on_the_ground(flight)
+    assert "vehicle 1: no heartbeat on udpin://0.0.0.0:14540; heard as component 2, and an" in flight.runner.reason
+
+
+# Origins
+
+
+ANCHORED = ("anchor.lat_deg=47.39774", "anchor.lon_deg=8.54559", "anchor.alt_m=488.0", "set_gps_origin=true")
+SWAPPED = ("anchor.lat_deg=8.54559", "anchor.lon_deg=47.39774", "anchor.alt_m=488.0", "set_gps_origin=true")
+
+
+def _in_zurich(config: WorldConfig) -> WorldConfig:
+    return replace(config, home_lat_deg=47.39774, home_lon_deg=8.54559, home_alt_m=488.0)
+
+
+class Listening(Flight):
+    """Counts the origins that are given."""
+
+    origins = 0
+
+    def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
+        for piece in FrameSplitter().feed(data):
+            self.origins += isinstance(piece, WireFrame) and piece.msgid == SET_ORIGIN
+        super().receive(vehicle_index, data, now_ns)
+
+
+@pytest.mark.parametrize(
+    ("changes", "guess"),
+    [
+        (SWAPPED, "are anchor.lat_deg and anchor.lon_deg swapped?"),
+        (
+            ("anchor.lat_deg=47.39774", "anchor.lon_deg=-8.54559", *ANCHORED[2:]),
+            "is the sign of anchor.lon_deg wrong?",
+        ),
+        (
+            ("anchor.lat_deg=46.90000", "anchor.lon_deg=8.5", *ANCHORED[2:]),
+            "correct anchor.lat_deg and anchor.lon_deg (are",
+        ),
+    ],
+    ids=["swapped", "sign", "elsewhere"],
+)
+def test_a_wrong_anchor_is_given_to_nobody_and_the_right_mission_flies_afterwards(
+    changes: tuple[str, ...], guess: str
+) -> None:
+    """On 1719c84 both vehicles were given it first, and then refused the right mission as well."""
+    flight = Listening(pair(*changes, "limits.preflight_s=30", autopilots=PX4_TWICE), change=_in_zurich)
+    _assert_on_the_ground(flight)
+    assert flight.runner.outcome == "refused"
+    assert guess in flight.runner.reason
+    assert f"km from its pad by the mission's anchor ({changes[0].partition('=')[2]}" in flight.runner.reason
+    assert flight.origins == 0
+    if guess.startswith("are "):
+        right = Listening(pair(*ANCHORED, autopilots=PX4_TWICE), world=flight.world)
+        _assert_flown(right)
+        assert right.origins >= 2
+
+
+def test_a_wrong_origin_that_somebody_has_written_is_corrected_by_the_right_mission() -> None:
+    other = Sender(255, 190)
+
+    def wrong(world: World) -> None:
+        for _ in range(200):
+            world.advance(world.now_ns + SECOND_NS // 20)
+        for vehicle in range(2):
+            world.receive(vehicle, other.set_origin(8.545594, 47.397742, target=vehicle + 1), world.now_ns)
+
+    for changes in (ANCHORED, ("set_gps_origin=true",)):
+        _assert_flown(Flight(pair(*changes, autopilots=PX4_TWICE), change=_in_zurich, prepare=wrong))
+    flight = Flight(pair("limits.preflight_s=15", autopilots=PX4_TWICE), change=_in_zurich, prepare=wrong)
+    _assert_on_the_ground(flight)
+    assert "vehicle 1: its origin (GPS_GLOBAL_ORIGIN) is kilometres from where it stands" in flight.runner.reason
+
+
+@pytest.mark.parametrize("place", [(0, 0, 0), (2**31 - 1, 2**31 - 1, 0)])
+def test_an_origin_that_is_no_place_is_unknown_and_not_a_jump(place: tuple[int, int, int]) -> None:
+    """On 1719c84 0/0/0 was a jump of 5,361 km that landed everybody."""
+    sender = Sender(1)
+    flight = Flight(pair(autopilots=PX4_TWICE), tamper=_besides(lambda: sender.origin(*place), 0.5, _always))
+    _assert_flown(flight)
