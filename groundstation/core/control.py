@@ -19,6 +19,11 @@ from groundstation.core.views import LocalViews
 ScaleKind = Literal["arctan", "tanh", "free"]
 
 
+LEAST_RATE_1_S = 1e-6
+"""Below this the law moves nobody in the time of a flight: gains that are zero, as those of two agents are that stand
+neither level nor one above the other, and a free or an all but free scale."""
+
+
 @dataclass(frozen=True)
 class ScaleFunction:
     """The map f of equation (14), which holds the formation's size.
@@ -260,10 +265,13 @@ def auto_control_gain(lambda_max_1_s: float, tau_s: float, delay_s: float, lead_
         k in (0, 1].
 
     Raises:
-        ValueError: a rate that is not positive, or a negative time.
+        ValueError: a rate below ``LEAST_RATE_1_S``, or a negative time.
     """
-    if not lambda_max_1_s > 0.0:
-        raise ValueError(f"largest rate of the gains is {lambda_max_1_s} 1/s, must be positive")
+    if not lambda_max_1_s >= LEAST_RATE_1_S:
+        raise ValueError(
+            f"nothing pulls the agents to their places: the fastest mode of gains and scale has {lambda_max_1_s:.2g}"
+            f" 1/s, minimum is {LEAST_RATE_1_S:g} 1/s"
+        )
     if not (tau_s >= 0.0 and delay_s >= 0.0 and lead_s >= 0.0):
         raise ValueError(f"lag {tau_s} s, delay {delay_s} s and lead {lead_s} s must be numbers, none negative")
     # A quarter of what is made up for is not trusted: the lag is never known exactly, nor is it of first order.

@@ -79,6 +79,18 @@ def test_a_team_that_does_not_form_in_its_time_gives_up() -> None:
     assert ended.startswith("not formed after 2 s: a distance is ")
 
 
+def test_a_team_that_formed_on_its_head_is_told_so_and_not_that_a_distance_is_infinite() -> None:
+    """All distances are right then. On 1719c84: "a distance is inf m off"."""
+    team = Team("steps.0.form.timeout_s=2")
+    points = team.plan.formation.points_enu_m[team.flight.role_of_agent]
+    team.pos = points[:, [1, 0, 2]]  # NED from ENU would turn the heights as well
+    assert team.flight.error_m(team.pos) < 1e-9
+    words = "not formed after 2 s: the team stands upside down (set upright_1_s or takeoff.stagger_m)"
+    assert team.ends(follow=False) == words
+    team.pos = 1.1 * team.pos
+    assert "upside down (set upright_1_s or takeoff.stagger_m), and a distance is " in str(team.ends(follow=False))
+
+
 @pytest.mark.parametrize(
     ("changes", "lost", "words"),
     [

@@ -212,7 +212,7 @@ class FormationFlight:
         doing, members = self._doing, self._roster.in_formation
         if doing is None:
             raise RuntimeError("formation flight without a step")
-        tick = doing.tick(Now(now_ns, poses, self._upright_error_m(poses, doing), absent))
+        tick = doing.tick(Now(now_ns, poses, self.error_m(poses.pos_team_ned_m), self._upright(poses), absent))
         follows = self.next_step(now_ns, poses) if tick.done else None
         if self._task is None:
             raise RuntimeError("formation flight without roles")
@@ -232,14 +232,11 @@ class FormationFlight:
             self._get_out(guidance.sensed, absent | ~members, course)
         return FormationTick(guidance.vel_ned_m_s, follows, tick.give_up)
 
-    def _upright_error_m(self, poses: Poses, doing: StepFlight) -> float:
-        """Largest distance error; infinite while the formation is to be formed and stands on its head."""
-        error_m = self.error_m(poses.pos_team_ned_m)
-        if not doing.swaps:
-            return error_m
+    def _upright(self, poses: Poses) -> bool:
+        """Whether the formation does not stand on its head: all distances are right then, too."""
         members, heights = self._roster.in_formation, self._now.stage.formation.points_enu_m[:, 2]
         here, roles = poses.pos_team_ned_m[members], self.role_of_agent[members]
-        return error_m if vertical_orientation(-here[:, 2], heights, roles) >= 0.0 else np.inf
+        return not vertical_orientation(-here[:, 2], heights, roles) < 0.0  # an unknown position is not on its head
 
     def fly_home(self, poses: Poses, absent: BoolArray, target_ned_m: FloatArray) -> FloatArray:
         """One tick of everybody's way to its place, mostly the one above its pad; returns setpoints, shape (n, 3).

@@ -35,14 +35,21 @@ class Now:
     Attributes:
         now_ns: its time.
         poses: of the team.
-        error_m: largest distance error; infinite where the formation stands on its head.
+        error_m: largest distance error, NaN where a position is not known.
+        upright: the formation does not stand on its head.
         absent: vehicles that do not follow at the moment, shape (n,).
     """
 
     now_ns: int
     poses: Poses
     error_m: float
+    upright: bool
     absent: BoolArray
+
+    @property
+    def off(self) -> str:
+        """How far off the worst distance is, for people."""
+        return f"a distance is {self.error_m:.3f} m off" if np.isfinite(self.error_m) else "a position is not known"
 
 
 @dataclass(frozen=True)
@@ -104,7 +111,7 @@ class StepFlight:
             return ""
         self._flown.figures.converged = False
         return (
-            f"formation lost while {doing}: a distance is {now.error_m:.3f} m off, limit is"
+            f"formation lost while {doing}: {now.off}, limit is"
             f" {_HOLD_TOLERANCE:g} times the tolerance of {tolerance_m:g} m"
         )
 
@@ -130,7 +137,8 @@ class Forming(StepFlight):
     def tick(self, now: Now) -> StepTick:
         """Looks at the distances."""
         flown, step = self._flown, self._step
-        within = now.error_m <= step.tolerance_m
+        near = now.error_m <= step.tolerance_m
+        within = near and now.upright
         if self._held(within, now.now_ns):
             took_s = (self._held.since_ns - self._since_ns) / SECOND_NS
             if np.isnan(flown.figures.time_to_form_s):
@@ -142,10 +150,9 @@ class Forming(StepFlight):
             flown.figures.converged = all(item.form is None for item in later)
             return StepTick(done=True)
         if not within and now.now_ns - self._since_ns >= step.timeout_s * SECOND_NS:
-            return StepTick(
-                give_up=f"not formed after {step.timeout_s:g} s: a distance is {now.error_m:.3f} m off,"
-                f" tolerance is {step.tolerance_m:g} m"
-            )
+            whys = [] if now.upright else ["the team stands upside down (set upright_1_s or takeoff.stagger_m)"]
+            whys += [] if near else [f"{now.off}, tolerance is {step.tolerance_m:g} m"]
+            return StepTick(give_up=f"not formed after {step.timeout_s:g} s: {', and '.join(whys)}")
         return StepTick()
 
 
@@ -211,7 +218,7 @@ class Moving(StepFlight):
         if self._move_s >= move.seconds + 2.0 * flown.settle_s:
             return self._end(now, pos_enu_m)
         if now.now_ns - self._since_ns >= (_MOVE_PATIENCE * move.seconds + _MOVE_SPARE_S) * SECOND_NS:
-            why = "a vehicle does not follow" if now.absent.any() else f"a distance is {now.error_m:.3f} m off"
+            why = "a vehicle does not follow" if now.absent.any() else now.off
             why = "the fence is in the way" if self._room < 1.0 else why
             done = 100.0 * move.share(self._move_s)
             return StepTick(give_up=f"move not finished: {done:.0f} % of the way done, {why}")

@@ -426,7 +426,7 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
     if positioning == "gps":
         check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
     acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
-    stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s)
+    stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s, source=source)
     moves, room_m = plan_moves(
         spec,
         stages,

@@ -18,7 +18,8 @@ def _no_boolean(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(_no_boolean), Field(allow_inf_nan=False)]
-Point = tuple[Number, Number, Number]
+Coordinate = Annotated[Number, Field(ge=-1_000_000, le=1_000_000)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
 Positive = Annotated[Number, Field(gt=0, le=10_000)]
 NotNegative = Annotated[Number, Field(ge=0, le=10_000)]
 VEHICLE_IDS = range(1, 251)

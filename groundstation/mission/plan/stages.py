@@ -81,17 +81,29 @@ def make_stage(
     profile: VehicleProfile,
     lead_s: float,
     *,
+    source: str,
     key: str = "formation",
     scale: ScaleSpec | None = None,
     assignment: str | None = None,
 ) -> Stage:
-    """Puts a stage together; ``scale`` and ``assignment`` are the mission's own where not given."""
+    """Puts a stage together; ``scale`` and ``assignment`` are the mission's own where not given.
+
+    Raises:
+        UserError: nothing would pull the vehicles; names ``source``, the mission's file, and the key.
+    """
     law = scale or spec.scale
     function = ScaleFunction(kind=law.kind, gain=law.gain)
     # The upright term fixes the vertical scale, which a free scale leaves to the start.
     upright_1_s = 0.0 if law.kind == "free" else spec.upright_1_s
     rate_1_s = rate_for_auto_gain_1_s(shape.formation, shape.gains, function, upright_1_s)
-    automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
+    try:
+        automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
+    except ValueError as error:
+        at = "" if key == "formation" or scale is None else f"{key}."
+        raise UserError(
+            f"{source}: {at}scale: kind {law.kind}, gain {law.gain:g} with formation {shape.formation.name} of"
+            f" {shape.formation.size}: {error}; use kind: arctan with its own gain (2.5)"
+        ) from None
     chosen = assignment or spec.assignment
     return Stage(
         key=key,
@@ -105,7 +117,13 @@ def make_stage(
 
 
 def make_stages(
-    spec: MissionSpec, first: Shape, others: Mapping[int, Shape], profile: VehicleProfile, lead_s: float
+    spec: MissionSpec,
+    first: Shape,
+    others: Mapping[int, Shape],
+    profile: VehicleProfile,
+    lead_s: float,
+    *,
+    source: str,
 ) -> tuple[tuple[Stage, ...], tuple[int, ...]]:
     """Puts all stages together.
 
@@ -115,11 +133,12 @@ def make_stages(
         others: formations of ``form`` steps that name their own, by number of the step.
         profile: the slowest vehicle.
         lead_s: how far ahead motion counts.
+        source: the mission's file, for messages.
 
     Returns:
         The stages, that of the top first, and the stage under way in each step.
     """
-    stages = [make_stage(spec, first, profile, lead_s)]
+    stages = [make_stage(spec, first, profile, lead_s, source=source)]
     of_step, current = [], 0
     for number, step in enumerate(spec.steps):
         if step.form is not None:
@@ -133,6 +152,7 @@ def make_stages(
                         others.get(number, first),
                         profile,
                         lead_s,
+                        source=source,
                         key=f"steps[{number}].form",
                         scale=form.scale,
                         assignment=form.assignment,
