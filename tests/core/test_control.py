@@ -255,5 +255,5 @@ def test_the_rate_for_the_auto_gain() -> None:
 
 @pytest.mark.parametrize("arguments", [(0.0, 1.0, 0.1), (10.0, -1.0, 0.1), (10.0, 1.0, np.nan)])
 def test_auto_gain_refuses_nonsense(arguments: tuple[float, float, float]) -> None:
-    with pytest.raises(ValueError, match="must|nothing pulls"):
+    with pytest.raises(ValueError, match=r"must|nothing pulls"):
         control.auto_control_gain(*arguments)
