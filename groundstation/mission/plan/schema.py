@@ -180,7 +180,7 @@ class SigningSpec(LinkSigningSpec):
 class VehicleSpec(_Strict):
     """One vehicle, its pad, and where its position counts from."""
 
-    id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=VEHICLE_IDS.start, lt=VEHICLE_IDS.stop)]
+    id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=VEHICLE_IDS[0], le=VEHICLE_IDS[-1])]
     link: str
     autopilot: str = "px4"
     profile: str = "crazyflie"
