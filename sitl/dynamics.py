@@ -77,6 +77,8 @@ class Dynamics:
         self._kp = axes("kp_xy_per_s", "kp_z_per_s")
         self._ki_dt = axes("ki_xy_per_s2", "ki_z_per_s2") * step_s
         self._drag = column("drag_per_s")
+        self._air_per_s, self._air_per_m = column("air_per_s"), column("air_per_m")
+        self._sticky = np.maximum(self._drag - self._air_per_s, 0.0)
         self._drag_ff = self._drag * column("drag_feedforward")
         filter_s = column("filter_s")
         self._filtered = bool((filter_s > 0).any())
@@ -116,6 +118,7 @@ class Dynamics:
         self.all_on_ground = self._any_on_ground = True
         self._integral = np.zeros((3, n))
         self._ref1, self._ref = np.zeros((3, n)), np.zeros((3, n))
+        self._calm_vel, self._calm_integral = np.zeros((3, n)), np.zeros((3, n))
 
         self.vel_sp_enu_m_s = np.zeros((3, n))
         self.pos_sp_enu_m = pos_enu_m.copy()
@@ -192,8 +195,9 @@ class Dynamics:
         # motion, semi-implicit
         force = up * self.thrust_m_s2
         force[2] -= GRAVITY_M_S2
-        air = vel if self._wind is None else vel - self._wind.step()
-        force -= air * self._drag
+        force -= vel * self._drag
+        if self._wind is not None:
+            force += self._blown(ref, self._wind.step())
         if self._downwash is not None:
             force[2] -= self._downwash.acceleration(self.pos_enu_m, self.thrust_m_s2)
         if self._any_on_ground:
@@ -231,6 +235,26 @@ class Dynamics:
         self._ref = self._ref + change
         return self._ref, change * self._filter_ff
 
+    def _blown(self, ref: Array, air: Array) -> Array:
+        """What the wind adds to the acceleration in still air: nothing without any, shape (3, n).
+
+        The pull of the air past the vehicle takes the place of that of still air. Drag beyond what air can do belongs
+        to commanded motion alone, which a twin in still air follows: else it would hold a vehicle against gusts, as
+        nothing holds a real one.
+        """
+        vel = self.vel_enu_m_s
+        past = air - vel
+        blown = (self._air_per_s + self._air_per_m * np.sqrt((past * past).sum(axis=0))) * past
+        blown += (self._air_per_s + self._air_per_m * np.sqrt((vel * vel).sum(axis=0))) * vel
+        error = ref - self._calm_vel
+        self._calm_integral += error * self._ki_dt
+        self._calm_vel += (error * self._kp + self._calm_integral - self._drag * self._calm_vel) * self.step_s
+        blown += self._sticky * (vel - self._calm_vel)
+        if self._any_on_ground:
+            self._calm_vel *= ~self.on_ground
+            self._calm_integral *= ~self.on_ground
+        return np.asarray(blown)
+
     def _ground(self) -> None:
         """Stops at the ground whoever has reached it and does not lift; friction holds what stands."""
         pos, vel = self.pos_enu_m, self.vel_enu_m_s
@@ -267,6 +291,8 @@ class Dynamics:
         self.thrust_m_s2[:] = 0.0
         self.yaw_rate_rad_s[:] = 0.0
         self._integral[:] = 0.0
+        self._calm_vel[:] = 0.0
+        self._calm_integral[:] = 0.0
         self._queue[:] = 0.0
         self._ref1[:] = 0.0
         self._ref = np.zeros((3, self.n))

@@ -20,7 +20,9 @@ class Profile:
         name: profile name.
         kp_xy_per_s, kp_z_per_s: proportional gain, acceleration per velocity error.
         ki_xy_per_s2, ki_z_per_s2: integral gain.
-        drag_per_s: linear drag, deceleration per airspeed.
+        drag_per_s: linear drag in still air, deceleration per speed: what a step response shows.
+        air_per_s, air_per_m: what moving air does: it pulls with ``(air_per_s + air_per_m |u|) u``, u being its
+            velocity past the vehicle (drag of the rotors, and of the body).
         drag_feedforward: share of the drag that the controller compensates beforehand, 0 to 1.
         filter_s: time constant of each of the two command filters in series; 0 for none.
         filter_feedforward: share of the filtered command's derivative fed forward to the acceleration.
@@ -46,6 +48,8 @@ class Profile:
     ki_xy_per_s2: float
     ki_z_per_s2: float
     drag_per_s: float
+    air_per_s: float
+    air_per_m: float
     drag_feedforward: float
     filter_s: float
     filter_feedforward: float
@@ -74,6 +78,8 @@ CRAZYFLIE = Profile(
     ki_xy_per_s2=0.2,
     ki_z_per_s2=0.2,
     drag_per_s=0.25,
+    air_per_s=0.3,  # rotor drag as identified by Foerster (2015): 9.2e-7 kg a rad times 8,600 rad/s, over 28 g
+    air_per_m=0.05,  # a body of 27 cm2 with a coefficient of 1, over 33 g
     drag_feedforward=1.0,
     filter_s=0.0,
     filter_feedforward=0.0,
@@ -103,10 +109,12 @@ PX4_QUAD = Profile(
     ki_xy_per_s2=0.5,  # MPC_XY_VEL_I_ACC is 0.4; the measured creep from 1.5 to 1.7 m/s asks for a little more
     ki_z_per_s2=2.0,  # MPC_Z_VEL_I_ACC
     drag_per_s=1.35,  # heavy, as in PX4's built-in simulator: it is what makes the response creep
+    air_per_s=0.25,  # as below: no air grips a vehicle as firmly as that simulator's still air does
+    air_per_m=0.027,
     drag_feedforward=0.0,
     filter_s=0.0,
     filter_feedforward=0.0,
-    accel_max_m_s2=5.0,  # MPC_ACC_HOR_MAX
+    accel_max_m_s2=9.8,  # the tilt is the limit; MPC_ACC_HOR_MAX (5) is one of planned ways, not of velocity setpoints
     dead_time_s=0.02,
     attitude_rad_s=18.0,
     tilt_rate_max_rad_s=3.8,
@@ -129,13 +137,15 @@ ARDUCOPTER = Profile(
     name="arducopter",
     kp_xy_per_s=4.0,
     kp_z_per_s=5.0,
-    ki_xy_per_s2=0.2,
+    ki_xy_per_s2=1.0,  # PSC_VELXY_I; that GUIDED also holds the place it has reckoned is left out
     ki_z_per_s2=0.2,
     drag_per_s=0.25,
+    air_per_s=0.25,  # ArduPilot's own model of a multicopter: momentum drag of 0.2, and 45 degrees at 15 m/s in all
+    air_per_m=0.027,
     drag_feedforward=1.0,
     filter_s=0.35,
     filter_feedforward=0.6,
-    accel_max_m_s2=5.0,
+    accel_max_m_s2=5.6,  # ANGLE_MAX of 30 degrees
     dead_time_s=0.06,
     attitude_rad_s=14.0,
     tilt_rate_max_rad_s=3.5,

@@ -59,6 +59,7 @@ class Lookout:
         findings = board.look(sight)
         fleet.ground_doubted = board.flies
         self._act(findings, poses, now_ns)
+        board.wind.enter(team.figures)
         poses = board.obstacles(poses, fleet, pose_ns, roster, now_ns)
         # Nobody stays under a vehicle that comes down.
         sinking = poses.sinking | (roster.lands_here & fleet.armed) | team.killing.falling(now_ns)

@@ -30,6 +30,7 @@ class Figures:
         gridlocks: times an agent found itself locked in by others.
         role_swaps: pairs of vehicles that exchanged their roles to get out of a gridlock.
         detours: times an agent went round others, or backed off, to get out of one.
+        wind_mean_m_s, wind_gust_m_s: strongest wind that the vehicles felt, and gusts, NaN before it is known.
         flight_time_s: from takeoff to the end, NaN before takeoff.
         ticks: calls of ``step``.
         deadline_misses: ticks that came more than a whole period late.
@@ -44,6 +45,8 @@ class Figures:
     gridlocks: int = 0
     role_swaps: int = 0
     detours: int = 0
+    wind_mean_m_s: float = np.nan
+    wind_gust_m_s: float = np.nan
     flight_time_s: float = np.nan
     ticks: int = 0
     deadline_misses: int = 0

@@ -170,7 +170,7 @@ def test_a_formation_that_is_torn_while_it_moves_is_lost() -> None:
 
 
 def test_a_wall_holds_up_a_move() -> None:
-    team = Team(MOVE.format("by_m: [0.4, 0, 0], seconds: 4"))
+    team = Team(MOVE.format("by_m: [0.4, 0, 0], seconds: 4"), "keep_place_1_s=0")
     assert team.ends() == "move"
     assert team.ends(1.0) == "nothing"
     team.pos[:, 1] += 2.98 - team.pos[:, 1].max()  # blown there, as one

@@ -38,7 +38,7 @@ def test_an_obstacle_pushes_from_farther_and_twice_as_hard() -> None:
     assert abs(settled(near, [0.0, 0.0, -1.0])).max() < 1e-9
     extra = np.array([0.0, 0.25, *[0.0] * 6])
     obstacle = dataclasses.replace(near, extra_radius_m=extra)
-    margin_m = PLAN.margin_m
+    margin_m = PLAN.keep_out_margin_m
     pushed = settled(obstacle, [0.0, 0.0, -1.0])
     rate_1_s = 1.0 / (4 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
     assert pushed[0] == pytest.approx(rate_1_s * (0.6 - 0.45 - margin_m - 0.25), abs=1e-6)
@@ -63,7 +63,7 @@ def test_one_that_comes_down_with_an_extra_radius_is_left_once_and_not_twice() -
     falling = dataclasses.replace(above, sinking=sinking, extra_radius_m=extra)
     rate_1_s = 1.0 / (4 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
     assert settled(falling, [0.0, 0.0, -1.0])[0] == pytest.approx(
-        rate_1_s * (0.5 - 0.45 - PLAN.margin_m - 0.2), abs=1e-6
+        rate_1_s * (0.5 - 0.45 - PLAN.keep_out_margin_m - 0.2), abs=1e-6
     )
 
 

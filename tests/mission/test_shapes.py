@@ -67,7 +67,7 @@ def test_what_does_not_fit_is_refused_with_sizes_and_remedy(changes: list[str], 
 def test_who_comes_down_on_another_is_held_by_the_height_of_the_region_whatever_the_attitude(shape: str) -> None:
     """One right above another, 0.8 m: a sphere of 0.45 m would let it come down, a region of 0.75 m does not."""
     plan = cube8(f"avoidance.shape={shape}")
-    pos = np.array([[0.0, 0.0, -1.0], [0.01, 0.0, -1.8], *([100.0 * k, 0.0, -1.0] for k in range(1, 7))])
+    pos = np.array([[0.0, 0.0, -1.0], [0.01, 0.0, -1.82], *([100.0 * k, 0.0, -1.0] for k in range(1, 7))])
     rng = np.random.default_rng(5)
     quat = rng.normal(0.0, 0.2, (8, 4)) + np.array([1.0, 0.0, 0.0, 0.0])
     poses = Poses(pos, np.zeros((8, 3)), quat / np.linalg.norm(quat, axis=1)[:, None], np.zeros(8, dtype=np.bool_))
@@ -80,7 +80,7 @@ def test_who_comes_down_on_another_is_held_by_the_height_of_the_region_whatever_
             setpoints = guide.to_targets(poses, targets)
         told[mission.spec.avoidance.shape] = setpoints.vel_ned_m_s[1, 2]
     rate_1_s = 1.0 / (4 * (plan.profile.delay_s + 0.02) + plan.profile.lag_s)
-    left_m = 0.8 - 0.75 - plan.margin_m
+    left_m = 0.82 - 0.75 - plan.keep_out_margin_m
     if shape == "cylinder":
         assert told[shape] == pytest.approx(0.5 * rate_1_s * left_m, abs=1e-3)
     assert 0.0 < told[shape] < 0.05 < told["sphere"]
@@ -99,4 +99,6 @@ def test_an_obstacle_is_avoided_in_the_shape_of_the_mission() -> None:
         told[name] = setpoints.vel_ned_m_s[0, 2]
     rate_1_s = 1.0 / (4 * (plan.profile.delay_s + 0.02) + plan.profile.lag_s)
     assert told["plain"] == pytest.approx(0.0, abs=1e-9)
-    assert told["obstacle"] == pytest.approx(rate_1_s * (0.75 + plan.margin_m + 0.3 - 0.9), abs=1e-3)  # away: down
+    assert told["obstacle"] == pytest.approx(
+        rate_1_s * (0.75 + plan.keep_out_margin_m + 0.3 - 0.9), abs=1e-3
+    )  # away: down

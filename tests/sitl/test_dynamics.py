@@ -157,8 +157,54 @@ def test_wind_pushes_and_the_integral_holds_against_it() -> None:
     run(dynamics, 20.0)
     assert abs(float(dynamics.vel_enu_m_s[0, 0])) < 0.05
     lean = math.degrees(math.atan2(-float(dynamics.up_enu[0, 0]), float(dynamics.up_enu[2, 0])))
-    expected = math.degrees(math.atan(3.0 * PROFILES["px4_quad"].drag_per_s / GRAVITY_M_S2))
+    profile = PROFILES["px4_quad"]
+    expected = math.degrees(math.atan(3.0 * (profile.air_per_s + 3.0 * profile.air_per_m) / GRAVITY_M_S2))
     assert lean == pytest.approx(expected, rel=0.05)  # it leans into the wind by what the drag asks for
+
+
+@pytest.mark.parametrize("name", ["px4_quad", "arducopter"])
+def test_half_a_metre_leans_in_a_wind_of_8_m_s_as_such_vehicles_do_and_stands(name: str) -> None:
+    wind = Wind(
+        mean_enu_m_s=(8.0, 0.0, 0.0),
+        gust_sigma_m_s=0.0,
+        gust_tau_s=2.0,
+        n=1,
+        step_s=STEP_S,
+        rng=np.random.default_rng(1),
+    )
+    dynamics = flying(name, wind=wind)
+    run(dynamics, 30.0)
+    assert 10.0 < math.degrees(math.acos(float(dynamics.up_enu[2, 0]))) < 25.0
+    assert abs(float(dynamics.vel_enu_m_s[0, 0])) < 0.05
+
+
+def test_a_wind_of_nothing_changes_next_to_nothing() -> None:
+    still = Wind(
+        mean_enu_m_s=(0.0, 0.0, 0.0),
+        gust_sigma_m_s=0.0,
+        gust_tau_s=2.0,
+        n=3,
+        step_s=STEP_S,
+        rng=np.random.default_rng(1),
+    )
+    names = ("px4_quad", "arducopter", "crazyflie")
+    in_it, without = flying(*names, wind=still), flying(*names)
+    assert in_it.pos_enu_m == pytest.approx(without.pos_enu_m, abs=2e-3)
+
+
+def test_drag_that_only_a_simulator_has_does_not_hold_a_vehicle_against_gusts() -> None:
+    wind = Wind(
+        mean_enu_m_s=(0.0, 0.0, 0.0),
+        gust_sigma_m_s=1.0,
+        gust_tau_s=2.0,
+        n=40,
+        step_s=STEP_S,
+        rng=np.random.default_rng(2),
+    )
+    dynamics = flying(*["px4_quad"] * 40, wind=wind)
+    spread = run(dynamics, 40.0)[:, :2].std()
+    # v' = a - 2.05 v - 0.5 (integral of v): 0.37 s of an acceleration of 0.25 m/s^2 and a little more, for |u| u
+    assert spread == pytest.approx(0.37 * 0.29, rel=0.2)
 
 
 def test_gusts_have_the_stated_strength() -> None:

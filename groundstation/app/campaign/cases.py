@@ -151,7 +151,7 @@ class _Team:
         low = np.array([*(self._centre - side / 2), 0.0])
         high = np.array([*(self._centre + side / 2), side if starts.kind == "volume" else 0.0])
         radius = spec.avoidance.radius_m
-        apart = max(starts.apart * radius, radius + plan.margin_m + _SPARE_M)
+        apart = max(starts.apart * radius, radius + plan.keep_out_margin_m + _SPARE_M)
         pads = scattered(plan.size, low, high, apart, rng)
         top = side + spec.takeoff.height_m + spec.takeoff.stagger_m / 2 + _ROOM_M
         fence = {

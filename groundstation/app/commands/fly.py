@@ -360,6 +360,8 @@ def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any
         "safety_radius_m": spec.avoidance.radius_m,
         "gridlocks": figures.gridlocks,
         "role_swaps": figures.role_swaps,
+        "wind_mean_m_s": figures.wind_mean_m_s,
+        "wind_gust_m_s": figures.wind_gust_m_s,
         "setpoints": runner.setpoints_sent,
         "ticks": figures.ticks,
         "deadline_misses": figures.deadline_misses,
@@ -401,6 +403,7 @@ def _tell(out: Output, values: Mapping[str, Any]) -> None:
         ("smallest clearance, 1 = at the safety region", _figure(values["min_clearance"], "")),
         ("safety radius r", _figure(values["safety_radius_m"], "m")),
         ("gridlocks, swaps of roles, detours", _gridlocks(values)),
+        ("wind at its strongest, as felt", _wind(values)),
         ("flight time", _figure(values["duration_s"], "s")),
         ("setpoints sent", str(values["setpoints"])),
         ("log", values["log"]),
@@ -415,6 +418,11 @@ def _tell(out: Output, values: Mapping[str, Any]) -> None:
 def _gridlocks(values: Mapping[str, Any]) -> str:
     counts = [values[name] for name in ("gridlocks", "role_swaps", "detours")]
     return ", ".join(str(count) for count in counts) if any(counts) else ""
+
+
+def _wind(values: Mapping[str, Any]) -> str:
+    mean_m_s, gust_m_s = values["wind_mean_m_s"], values["wind_gust_m_s"]
+    return f"mean {mean_m_s:.1f} m/s, gusts {gust_m_s:.1f} m/s" if math.isfinite(mean_m_s) else ""
 
 
 def _figure(value: float, unit: str, missing: str = "-") -> str:

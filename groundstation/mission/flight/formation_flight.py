@@ -20,6 +20,7 @@ from groundstation.core.places import own_places
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.flight.guidance import Course, Guide
+from groundstation.mission.flight.keeping import added
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.steps import Now, StepFlight, step_flight
 from groundstation.mission.flight.under_way import UnderWay
@@ -27,6 +28,8 @@ from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.stages import roles_for
 from groundstation.mission.roster import Roster
 from groundstation.mission.verdict import Figures
+
+_CLEAR_OF_FLOOR_M = 0.05  # how far above the floor the lowest are kept: it is in nobody's way then
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,7 @@ class FormationFlight:
             self._give_roles(poses)
         if step.form is not None:
             now.tell_formation("1")
+            self._begin_place(poses)
         self._doing = step_flight(now, now_ns, step)
         return self._doing.phase
 
@@ -167,6 +171,7 @@ class FormationFlight:
         self._now.back_to_form()
         self._now.figures.converged = False
         self._gridlocks.forget()
+        self._now.keeper.heading_rad = None
         self.begin_anew(now_ns)
         return ""
 
@@ -196,13 +201,14 @@ class FormationFlight:
         if self._doing is not None:
             self._doing.stood_still(held_ns)
 
-    def step(self, now_ns: int, poses: Poses, absent: BoolArray | None = None) -> FormationTick:
+    def step(self, now_ns: int, poses: Poses, absent: BoolArray | None = None, sway_m: float = 0.0) -> FormationTick:
         """One tick of the step under way.
 
         Args:
             now_ns: time of the tick.
             poses: of the team.
             absent: vehicles that do not follow at the moment, shape (n,); a moving formation waits for them.
+            sway_m: how far distances may sway in the gusts of the moment; allowed beside the tolerance.
 
         Raises:
             RuntimeError: roles were never assigned, or no step was begun.
@@ -212,18 +218,23 @@ class FormationFlight:
         doing, members = self._doing, self._roster.in_formation
         if doing is None:
             raise RuntimeError("formation flight without a step")
-        tick = doing.tick(Now(now_ns, poses, self.error_m(poses.pos_team_ned_m), self._upright(poses), absent))
+        tick = doing.tick(Now(now_ns, poses, self.error_m(poses.pos_team_ned_m), self._upright(poses), absent, sway_m))
+        pos_enu_m, counts = frames.enu_from_ned(poses.pos_team_ned_m), members & ~absent
+        if tick.done and doing.swaps:
+            self._now.keeper.settle(pos_enu_m, counts, self._now.formation.points_enu_m[self.role_of_agent])
         follows = self.next_step(now_ns, poses) if tick.done else None
         if self._task is None:
             raise RuntimeError("formation flight without roles")
         forming = follows is None and doing.swaps
+        points_m = self._now.formation.points_enu_m[self.role_of_agent]
+        kept = self._now.keeper.motion(pos_enu_m, counts, points_m)
         course = Course(
             stage=self._now.stage,
             control_gain=self._control_gain(),
             members=members,
-            points_by_agent_m=self._now.formation.points_enu_m[self.role_of_agent],
+            points_by_agent_m=points_m,
             detour_enu_m_s=self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s)) if forming else None,
-            motion=tick.motion,
+            motion=added(tick.motion, kept),
             present=tick.present,
         )
         guidance = self._guide.formation(poses, self._sized_task(self._task), course)
@@ -231,6 +242,15 @@ class FormationFlight:
         if forming:
             self._get_out(guidance.sensed, absent | ~members, course)
         return FormationTick(guidance.vel_ned_m_s, follows, tick.give_up)
+
+    def _begin_place(self, poses: Poses) -> None:
+        """The team's place is where it is, high enough for the formation to be clear of the floor."""
+        pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
+        heights_m = self._now.stage.formation.points_enu_m[:, 2]
+        clear_m = _CLEAR_OF_FLOOR_M + 0.25 * self._plan.margin_m
+        middle_m = self._plan.min_altitude_m + float(heights_m.mean() - heights_m.min()) + clear_m
+        counts = self._roster.in_formation & np.isfinite(pos_enu_m).all(axis=1)
+        self._now.keeper.begin(pos_enu_m, counts, middle_m)
 
     def _upright(self, poses: Poses) -> bool:
         """Whether the formation does not stand on its head: all distances are right then, too."""

@@ -86,8 +86,8 @@ class Guide:
         spec, profile = plan.spec, plan.profile
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
-        # What two positions may be off against each other is added to r and d: then true distances stay above r.
-        margin_m = fitting_margin_m(plan.margin_m, plan.room_m)
+        # What positions may be off and gusts may do is added to r and d: then true distances stay above r.
+        margin_m = fitting_margin_m(plan.keep_out_margin_m, plan.room_m)
         self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,

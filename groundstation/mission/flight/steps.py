@@ -38,6 +38,7 @@ class Now:
         error_m: largest distance error, NaN where a position is not known.
         upright: the formation does not stand on its head.
         absent: vehicles that do not follow at the moment, shape (n,).
+        sway_m: how far distances may sway in the gusts of the moment, beside every tolerance.
     """
 
     now_ns: int
@@ -45,6 +46,11 @@ class Now:
     error_m: float
     upright: bool
     absent: BoolArray
+    sway_m: float = 0.0
+
+    def allowed(self, tolerance_m: float) -> str:
+        """A tolerance in words, with what gusts add to it."""
+        return f"{tolerance_m:g} m" + (f", and {self.sway_m:.2f} m for the gusts" if self.sway_m else "")
 
     @property
     def off(self) -> str:
@@ -107,12 +113,13 @@ class StepFlight:
     def _lost(self, doing: str, now: Now, steady_ns: int = SECOND_NS) -> str:
         """Why the formation counts as lost, empty while it does not."""
         tolerance_m = self._tolerance_m()
-        if not self._held(not now.error_m <= _HOLD_TOLERANCE * tolerance_m, now.now_ns, steady_ns):
+        limit_m = _HOLD_TOLERANCE * tolerance_m + now.sway_m
+        if not self._held(not now.error_m <= limit_m, now.now_ns, steady_ns):
             return ""
         self._flown.figures.converged = False
         return (
             f"formation lost while {doing}: {now.off}, limit is"
-            f" {_HOLD_TOLERANCE:g} times the tolerance of {tolerance_m:g} m"
+            f" {_HOLD_TOLERANCE:g} times the tolerance of {now.allowed(tolerance_m)}"
         )
 
     def _sizes(self, poses: Poses) -> Sizes:
@@ -137,12 +144,14 @@ class Forming(StepFlight):
     def tick(self, now: Now) -> StepTick:
         """Looks at the distances."""
         flown, step = self._flown, self._step
-        near = now.error_m <= step.tolerance_m
+        near = now.error_m <= step.tolerance_m + now.sway_m
         within = near and now.upright
         if self._held(within, now.now_ns):
             took_s = (self._held.since_ns - self._since_ns) / SECOND_NS
             if np.isnan(flown.figures.time_to_form_s):
                 flown.figures.time_to_form_s = took_s
+            if now.sway_m:
+                flown.tell(f"formed in gusts: the tolerance was {now.allowed(step.tolerance_m)}")
             if len(flown.plan.stages) > 1:
                 flown.tell(f"formed {flown.stage.formation.name} after {took_s:.2f} s")
             self._tell_size(now.poses)
@@ -151,7 +160,7 @@ class Forming(StepFlight):
             return StepTick(done=True)
         if not within and now.now_ns - self._since_ns >= step.timeout_s * SECOND_NS:
             whys = [] if now.upright else ["the team stands upside down (set upright_1_s or takeoff.stagger_m)"]
-            whys += [] if near else [f"{now.off}, tolerance is {step.tolerance_m:g} m"]
+            whys += [] if near else [f"{now.off}, tolerance is {now.allowed(step.tolerance_m)}"]
             return StepTick(give_up=f"not formed after {step.timeout_s:g} s: {', and '.join(whys)}")
         return StepTick()
 
@@ -240,11 +249,14 @@ class Moving(StepFlight):
         elapsed_s = min(elapsed_s, 2.0 / self._flown.plan.spec.rate_hz)
         self._last_ns = now.now_ns
         tolerance_m = self._tolerance_m()
-        wanted = (_HOLD_TOLERANCE * tolerance_m - now.error_m) / ((_HOLD_TOLERANCE - 1.0) * tolerance_m)
+        wanted = (_HOLD_TOLERANCE * tolerance_m + now.sway_m - now.error_m) / ((_HOLD_TOLERANCE - 1.0) * tolerance_m)
         wanted = 0.0 if now.absent.any() else min(max(wanted, 0.0), 1.0, self._room)
         step_up, step_down = elapsed_s / _PACE_UP_S, elapsed_s / _PACE_DOWN_S
         self._pace = min(max(wanted, self._pace - step_down), self._pace + step_up)
+        done = self._move.share(self._move_s)
         self._move_s += self._pace * elapsed_s
+        done = self._move.share(self._move_s) - done
+        self._flown.keeper.shift(done * self._move.by_enu_m, done * self._move.turn_rad)
 
     def _end(self, now: Now, pos_enu_m: FloatArray) -> StepTick:
         """The move is over; tells how far it went, and whether the size is what was asked for."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 from groundstation.core.formation import Formation
 from groundstation.core.types import BoolArray
 from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.keeping import PlaceKeeper
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import Step
 from groundstation.mission.plan.stages import Stage
@@ -30,6 +31,7 @@ class UnderWay:
         size: of the formation, against its points.
         settle_s: lag and delay of the slowest vehicle.
         keep_out_m: distance that vehicles keep from each other, margin included.
+        keeper: of the team's place.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class UnderWay:
         self.plan, self.figures, self.note = plan, figures, note
         self.settle_s, self.keep_out_m = guide.settle_s, guide.keep_out_m
         self.number, self.size = -1, 1.0
+        self.keeper = PlaceKeeper(plan.keep_place_1_s, plan.spec.speed_limit_m_s)
         self._roster = roster
         self._stage_index = plan.stage_of_step[0]
 

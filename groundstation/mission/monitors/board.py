@@ -19,6 +19,7 @@ from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
+from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
 
@@ -40,18 +41,20 @@ class Board:
 
     Attributes:
         blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
+        wind: what is known of the wind.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
-        self._modes, self._following = Modes(plan), Following(plan)
+        self.wind = Wind(plan)
+        self._modes, self._following = Modes(plan), Following(plan, self.wind)
         self._contradictions = Contradictions(plan)
         self._monitors: tuple[Monitor, ...] = (
             self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
-            BeyondFence(plan), self._frames, Tilt(plan), self._following, Distance(plan), self._modes, LateTicks(plan),
-            self._contradictions,
+            BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan), self._modes,
+            LateTicks(plan), self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)

@@ -12,6 +12,7 @@ from groundstation.core.limits import Fence
 from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
 
 _BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
@@ -43,14 +44,16 @@ class BeyondFence:
 
 
 class Following:
-    """Vehicles that do not do what they are told, compared with a first-order lag that does."""
+    """Vehicles that do not do what they are told, compared with a first-order lag that does, in the same wind."""
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: MissionPlan, wind: Wind) -> None:
         n = plan.size
+        self._wind = wind
         self._limit_m_s = plan.tracking_m_s
         self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
         self._model: FloatArray = np.zeros((n, 3))
         self._error: FloatArray = np.zeros((n, 3))
+        self._carried: FloatArray = np.zeros((n, 3))
         self._steered_s: FloatArray = np.zeros(n)
         self._last_ns = 0
         self._first, self._again = Lasting(n, _STRAYS_S), Lasting(n, _STRAYS_ON_S)
@@ -67,7 +70,9 @@ class Following:
         self._model = np.where(new, sight.vel_ned_m_s, self._model + step * (sight.sent_ned_m_s - self._model))
         error = self._error + passed_s / _SMOOTH_S * (sight.vel_ned_m_s - self._model - self._error)
         self._error = np.where(new | ~np.isfinite(error), 0.0, error)
-        off_m_s = np.linalg.norm(self._error, axis=1)
+        carried = self._carried + passed_s / _SMOOTH_S * (self._wind.carried_m_s - self._carried)
+        self._carried = np.where(new, 0.0, carried)
+        off_m_s = np.linalg.norm(_without(self._error, self._carried), axis=1)
         away = off_m_s > self._limit_m_s
         for vehicle in self._first(away, sight.now_ns):
             self.strays[vehicle] = True
@@ -76,6 +81,12 @@ class Following:
         for vehicle in self._again(away, sight.now_ns):
             yield Finding(Reaction.LAND, f"has not followed its setpoints for {_STRAYS_ON_S:g} s", (vehicle,))
         self.strays &= away
+
+
+def _without(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
+    """What is left of errors when the wind explains what it can of them, and nothing besides, shape (n, 3)."""
+    along = (error_m_s * carried_m_s).sum(axis=1) / np.maximum((carried_m_s**2).sum(axis=1), 1e-12)
+    return np.asarray(error_m_s - np.clip(along, 0.0, 1.0)[:, None] * carried_m_s)
 
 
 class Distance:

@@ -9,7 +9,7 @@ import base64
 import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
 from groundstation.core.regions import SafetyRegion, UprightRegion, build_region
 from groundstation.core.types import FloatArray
+from groundstation.core.wind import Airframe
 from groundstation.design.store import (
     FormationFile,
     check_gains,
@@ -34,13 +35,21 @@ from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan.overrides import override_value
-from groundstation.mission.plan.positioning import POSITION_ERROR_M, check_radius, check_tolerances, margin_m
+from groundstation.mission.plan.positioning import (
+    POSITION_ERROR_M,
+    all_offsets,
+    check_radius,
+    check_tolerances,
+    margin_m,
+)
 from groundstation.mission.plan.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.plan.stages import Shape, Stage, check_clearance, check_shape, make_stages, plan_moves
+from groundstation.mission.plan.wind import WindLimit, check_wind, grown_by_m, gust_margin_m, room_for_wind, wind_limit
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
 _POSE_HZ = 50.0
+_KEEP_PLACE_1_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,7 +71,9 @@ class MissionPlan:
         link_of_vehicle: index into ``links`` per vehicle.
         rates: of each link.
         positioning: mocap, rtk or gps.
-        margin_m: what two positions may be off against each other; added to r and d.
+        margin_m: what two positions may be off against each other.
+        wind: up to which wind the mission is flown.
+        gust_margin_m: what its gusts may take from a distance; r and d are grown by ``keep_out_margin_m``, for both.
         autopilots: one per vehicle.
         pads_enu_m: shape (n, 3), team frame.
         min_altitude_m: nobody who flies the formation goes below, above the team frame's ground.
@@ -84,6 +95,8 @@ class MissionPlan:
     rates: tuple[LinkRates, ...]
     positioning: str
     margin_m: float
+    wind: WindLimit
+    gust_margin_m: float
     autopilots: tuple[Autopilot, ...]
     pads_enu_m: FloatArray
     min_altitude_m: float
@@ -98,6 +111,22 @@ class MissionPlan:
     def region(self) -> SafetyRegion:
         """What is kept clear around every vehicle, without the margin."""
         return _region(self.spec, self.profile)
+
+    @property
+    def room_with_pads_m(self) -> float:
+        """What the formations and the pads leave between two safety regions at least."""
+        return min(self.room_m, self.region.room_m(all_offsets(self.pads_enu_m)))
+
+    @property
+    def keep_out_margin_m(self) -> float:
+        """What is added to r and d, as far as there is room: for positions that are off, and for gusts."""
+        return grown_by_m(self.margin_m, self.gust_margin_m)
+
+    @property
+    def keep_place_1_s(self) -> float:
+        """Share of the team's offset from its place that is taken back in a second: slow against every lag."""
+        given = self.spec.keep_place_1_s
+        return _KEEP_PLACE_1_S / max(1.0, self.profile.lag_s + self.profile.delay_s) if given == "auto" else given
 
     @property
     def formation(self) -> Formation:
@@ -281,6 +310,7 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
             others[number] = shapes.read(form.formation or spec.formation, gains, size, f"steps[{number}].form.")
     plan = build_plan(spec, first, str(path), others)
     _check_acceleration(plan)
+    _check_wind(plan)
     return plan
 
 
@@ -439,6 +469,14 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
         positioning=positioning,
         source=source,
     )
+    room = room_for_wind(
+        spec,
+        pads,
+        margin_m=margin_m(position_error_m),
+        room_m=min(room_m, region.room_m(all_offsets(pads))),
+        lead_s=lead_s,
+    )
+    wind = wind_limit(spec, profile, room)
     return MissionPlan(
         spec=spec,
         source=source,
@@ -455,6 +493,8 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
         rates=rates,
         positioning=positioning,
         margin_m=margin_m(position_error_m),
+        wind=wind,
+        gust_margin_m=gust_margin_m(spec, profile, wind),
         autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),
         pads_enu_m=pads,
         min_altitude_m=_floor(spec),
@@ -477,6 +517,14 @@ def _check_acceleration(plan: MissionPlan) -> None:
             f" m/s^2, what the slowest vehicle reaches ({profile.name}): r is kept with vehicles that can follow their"
             " setpoints; leave it out, or say in profiles what your vehicles reach (acceleration_max_m_s2)"
         )
+
+
+def _check_wind(plan: MissionPlan) -> None:
+    """Refuses a wind for which there is no room; not for records either."""
+    room = room_for_wind(
+        plan.spec, plan.pads_enu_m, margin_m=plan.margin_m, room_m=plan.room_with_pads_m, lead_s=plan.lead_s
+    )
+    check_wind(plan.source, plan.spec, plan.profile, plan.wind, room)
 
 
 def _fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> tuple[LinkRates, ...]:
@@ -560,7 +608,10 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
                 " figures it has"
             )
         figures = given.model_dump(exclude={"like"}, exclude_none=True)
-        profiles[name] = replace(PROFILES[like], name=name, **figures)
+        figures["settle_s"] = figures.pop("wind_settle_s", PROFILES[like].airframe.settle_s)
+        air = {field.name: figures.pop(field.name) for field in fields(Airframe) if field.name in figures}
+        airframe = replace(PROFILES[like].airframe, **air)
+        profiles[name] = replace(PROFILES[like], name=name, airframe=airframe, **figures)
     return profiles
 
 

@@ -6,8 +6,10 @@ name another profile for each of its vehicles, and the slowest one counts for th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+from groundstation.core.wind import Airframe
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class VehicleProfile:
         climb_m_s: what it climbs and sinks at least when it returns by itself.
         cruise_m_s: its speed at least when it returns by itself.
         half_height_m: how far above and below it downwash is felt; for safety regions that are no spheres.
+        airframe: how it takes the wind.
+        wind_mean_m_s, wind_gust_m_s: mean wind, and standard deviation of the gusts on one axis, that it is flown in.
     """
 
     name: str
@@ -35,6 +39,9 @@ class VehicleProfile:
     climb_m_s: float
     cruise_m_s: float
     half_height_m: float
+    airframe: Airframe
+    wind_mean_m_s: float
+    wind_gust_m_s: float
 
 
 _CRAZYFLIE_HALF_HEIGHT_M = 0.75
@@ -42,20 +49,31 @@ _CRAZYFLIE_HALF_HEIGHT_M = 0.75
 _HALF_METRE_HALF_HEIGHT_M = 4.0
 """The same for multirotors of 0.5 m and propellers of 0.25 m: downwash grows with the size of the vehicle."""
 
+# How a vehicle takes the wind. Rotor drag and body drag of half a metre: ArduPilot's own model of a multicopter
+# (momentum drag of 0.2, 45 degrees at 15 m/s); of a Crazyflie: as identified by Foerster (2015). drag_1_s of px4_quad
+# is that of PX4's built-in simulator. push_lag_s and settle_s follow from the gains of the velocity loops:
+# MPC_XY_VEL_P_ACC 1.8 and I_ACC 0.5; PSC_VELXY_P 2 and I 1; 4.3 and 0.17 of the Crazyflie's firmware.
+
 PROFILES: dict[str, VehicleProfile] = {
     profile.name: profile
     for profile in (
         VehicleProfile(
             "crazyflie", lag_s=0.2, delay_s=0.05, acceleration_max_m_s2=4.0, position_error_m=0.01,
             endurance_s=360.0, climb_m_s=0.8, cruise_m_s=1.0, half_height_m=_CRAZYFLIE_HALF_HEIGHT_M,
+            airframe=Airframe(air_1_s=0.3, air_1_m=0.05, drag_1_s=0.25, push_lag_s=0.22, settle_s=24.0),
+            wind_mean_m_s=1.0, wind_gust_m_s=0.2,
         ),
         VehicleProfile(
             "px4_quad", lag_s=1.0, delay_s=0.1, acceleration_max_m_s2=3.0, position_error_m=0.02,
             endurance_s=1200.0, climb_m_s=1.4, cruise_m_s=3.0, half_height_m=_HALF_METRE_HALF_HEIGHT_M,
+            airframe=Airframe(air_1_s=0.25, air_1_m=0.027, drag_1_s=1.35, push_lag_s=0.49, settle_s=4.1),
+            wind_mean_m_s=8.0, wind_gust_m_s=1.0,
         ),
         VehicleProfile(
             "arducopter", lag_s=0.9, delay_s=0.1, acceleration_max_m_s2=2.5, position_error_m=0.02,
             endurance_s=1200.0, climb_m_s=1.4, cruise_m_s=3.0, half_height_m=_HALF_METRE_HALF_HEIGHT_M,
+            airframe=Airframe(air_1_s=0.25, air_1_m=0.027, drag_1_s=0.25, push_lag_s=0.5, settle_s=2.0),
+            wind_mean_m_s=8.0, wind_gust_m_s=1.0,
         ),
     )
 }  # fmt: skip
@@ -87,4 +105,12 @@ def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
         climb_m_s=min(item.climb_m_s for item in items),
         cruise_m_s=min(item.cruise_m_s for item in items),
         half_height_m=max(item.half_height_m for item in items),
+        airframe=_worst([item.airframe for item in items]),
+        wind_mean_m_s=min(item.wind_mean_m_s for item in items),
+        wind_gust_m_s=min(item.wind_gust_m_s for item in items),
     )
+
+
+def _worst(frames: Sequence[Airframe]) -> Airframe:
+    """The worst of each figure."""
+    return Airframe(*(max(getattr(frame, field.name) for frame in frames) for field in fields(Airframe)))

@@ -147,6 +147,13 @@ class LimitsSpec(_Strict):
     battery_age_s: Positive = 10.0
 
 
+class WindSpec(_Strict):
+    """Wind that a mission may be flown in, by the profiles where not given: mean, and standard deviation of gusts."""
+
+    mean_m_s: Annotated[Number, Field(ge=0, le=30)] | None = None
+    gust_m_s: Annotated[Number, Field(ge=0, le=15)] | None = None
+
+
 class FailsafeSpec(_Strict):
     """What the team does when nobody steers it any more, and whether its parameters are set to that."""
 
@@ -205,6 +212,13 @@ class ProfileSpec(_Strict):
     delay_s: Annotated[Number, Field(ge=0, le=10)] | None = None
     acceleration_max_m_s2: Annotated[Number, Field(gt=0, le=100)] | None = None
     position_error_m: Positive | None = None
+    air_1_s: Annotated[Number, Field(ge=0.01, le=10)] | None = None
+    air_1_m: Annotated[Number, Field(ge=0, le=10)] | None = None
+    drag_1_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    push_lag_s: Annotated[Number, Field(ge=0.01, le=10)] | None = None
+    wind_settle_s: Annotated[Number, Field(ge=0.1, le=1000)] | None = None
+    wind_mean_m_s: Annotated[Number, Field(ge=0, le=30)] | None = None
+    wind_gust_m_s: Annotated[Number, Field(ge=0, le=15)] | None = None
 
 
 class MissionSpec(_Strict):
@@ -231,6 +245,8 @@ class MissionSpec(_Strict):
     on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
     limits: LimitsSpec = LimitsSpec()
+    wind: WindSpec = WindSpec()
+    keep_place_1_s: Literal["auto"] | Annotated[Number, Field(ge=0, le=1)] = "auto"
     failsafe: FailsafeSpec = FailsafeSpec()
     positioning: Literal["mocap", "rtk", "gps"] | None = None
     position_error_m: Positive | None = None

@@ -1,0 +1,100 @@
+"""The wind, judged against what the mission allows: told when it comes near to the limit, everybody home beyond it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from groundstation.core import frames
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.wind import WindEstimate
+from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.wind import sway_s2
+from groundstation.mission.verdict import Figures
+
+_LASTS_S = 3.0
+_SAY_SHARE = 0.85
+_MEAN_OVER, _GUST_OVER = 1.15, 1.3  # what an estimate of some seconds may be off by chance
+_GUST_UNSURE_M_S = 0.1
+_CALM_M_S = 0.2  # gusts less than that are not told from errors of the attitude
+_LEVEL_M_S2 = 0.12
+_POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+class Wind:
+    """Wind as the vehicles feel it; holds what else wants to know of it.
+
+    Vehicles whose link is too narrow for attitudes are left out: how they lean is not known.
+    """
+
+    def __init__(self, plan: MissionPlan) -> None:
+        n = plan.size
+        self._limit = plan.wind
+        self._leans: BoolArray = np.array([not plan.rates_of(i).lean for i in range(n)])
+        profiles = plan.vehicle_profiles
+        self.estimate = WindEstimate(
+            [profile.airframe for profile in profiles], np.array([profile.lag_s for profile in profiles])
+        )
+        # More than the wind of the limit does is no excuse.
+        strongest = np.array([plan.wind.mean_m_s + 3.0 * plan.wind.gust_m_s, 0.0, 0.0])
+        self._excuse_max_m_s: FloatArray = np.array(
+            [[profile.airframe.push_lag_s * profile.airframe.pull_m_s2(strongest)[0]] for profile in profiles]
+        )
+        self._frame, self._sway_s2 = plan.profile.airframe, sway_s2(plan.profile, plan.lead_s)
+        # A vehicle that hangs half a degree askew looks as if it leant into a wind.
+        self._unsure_m_s = _LEVEL_M_S2 / plan.profile.airframe.air_1_s
+        self._last_ns = 0
+        self._near, self._beyond = Lasting(1, _LASTS_S), Lasting(1, _LASTS_S)
+
+    @property
+    def carried_m_s(self) -> FloatArray:
+        """Velocity that a healthy vehicle may be carried with at the moment, against its will, shape (n, 3)."""
+        expected = self.estimate.expected_m_s
+        size = np.linalg.norm(expected, axis=1, keepdims=True)
+        return np.asarray(expected * np.minimum(1.0, self._excuse_max_m_s / np.maximum(size, 1e-9)))
+
+    @property
+    def sway_m(self) -> float:
+        """How far distances may sway in the gusts of the moment, up to those of the limit; 0 in calm air."""
+        gust_m_s = min(self.estimate.gust_m_s, self._limit.gust_m_s)
+        if self.estimate.gust_m_s < _CALM_M_S:
+            return 0.0
+        mean_m_s = min(float(np.linalg.norm(self.estimate.mean_ned_m_s)), self._limit.mean_m_s)
+        return self._sway_s2 * self._frame.slope_1_s(mean_m_s) * gust_m_s
+
+    def enter(self, figures: Figures) -> None:
+        """Enters the strongest wind that was seen."""
+        if self.estimate.known:
+            mean_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s))
+            figures.wind_mean_m_s = float(np.fmax(figures.wind_mean_m_s, mean_m_s))
+            figures.wind_gust_m_s = float(np.fmax(figures.wind_gust_m_s, self.estimate.gust_m_s))
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Tells of wind near the limit, and brings everybody back from more than that."""
+        passed_s = min((sight.now_ns - self._last_ns) / SECOND_NS, 0.2)
+        self._last_ns = sight.now_ns
+        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind & self._leans
+        down_ned = frames.rotate(
+            frames.rot_ned_from_frd(sight.fleet.quat_ned_from_frd), np.tile([0.0, 0.0, 1.0], (len(ours), 1))
+        )
+        self.estimate.step(passed_s, sight.vel_ned_m_s, down_ned, sight.sent_ned_m_s, counts)
+        mean_m_s, gust_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s)), self.estimate.gust_m_s
+        limit = self._limit
+        near = (
+            mean_m_s > _SAY_SHARE * limit.mean_m_s + self._unsure_m_s
+            or gust_m_s > _SAY_SHARE * limit.gust_m_s + _GUST_UNSURE_M_S
+        )
+        beyond = mean_m_s > _MEAN_OVER * limit.mean_m_s + self._unsure_m_s
+        beyond |= gust_m_s > _GUST_OVER * limit.gust_m_s + _GUST_UNSURE_M_S
+        for _ in self._beyond(np.array([self.estimate.known and beyond]), sight.now_ns):
+            yield Finding(Reaction.ALL_HOME, f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}")
+        for _ in self._near(np.array([self.estimate.known and near]), sight.now_ns):
+            yield Finding(Reaction.SAY, f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}")
+
+    def _words(self, mean_m_s: float, gust_m_s: float) -> str:
+        north, east, _ = self.estimate.mean_ned_m_s
+        point = _POINTS[round(math.atan2(-east, -north) / (math.pi / 4.0)) % 8]
+        return f"wind of {mean_m_s:.1f} m/s from the {point} with gusts of {gust_m_s:.1f} m/s"
