@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 
 from groundstation.app.session import Session
-from groundstation.records.tlog import LogFile
+from groundstation.records.log_file import LogFile
 
 _WAITING_MAX = 64 << 20  # bytes that a disk may be behind
 _SETTLE_S = 0.2

@@ -8,8 +8,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from groundstation.core.own_files import open_alone, sync_folder
+from groundstation.records.log_file import LogFile, Sink
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
-from groundstation.records.tlog import LogFile, Sink, TlogWriter
+from groundstation.records.tlog import TlogWriter
 
 
 @contextmanager

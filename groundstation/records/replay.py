@@ -307,7 +307,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         noise_bytes=noise_bytes,
         message=reader.message,
         notes=tuple(notes),
-        contents=() if vehicles else tuple(reader.survey().words()),
+        contents=() if any(len(item.t_ns) for item in vehicles) else tuple(reader.survey().words()),
     )
 
 

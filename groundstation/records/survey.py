@@ -30,6 +30,7 @@ _TYPE_GCS, _AUTOPILOT_INVALID = int(dialect.MAV_TYPE_GCS), int(dialect.MAV_AUTOP
 _GROUND_SYSID = 255  # the usual id of ground stations
 _STEP_US = 500_000
 _WINDOW_US = 5_000_000
+_FOR_GOOD_US = 60_000_000  # no link is late for as long
 _BACK_US = 1_000_000  # boot times that run back further belong to a new start
 _PAUSE_US = 10_000_000
 _NAMES_MAX = 12
@@ -273,13 +274,17 @@ def _steps(stamps: IntArray, clocks: Sequence[tuple[IntArray, IntArray]]) -> lis
         if 2 * for_it <= heard:
             continue  # the clock of one vehicle stood still, or leapt
         leaps = np.diff(stamps[low : high + 1]) * np.sign(size)
-        if leaps.max(initial=0) >= abs(size) - _STEP_US - (passed if size < 0 else 0):
-            found.append(Step(low + 1 + int(leaps.argmax()), size))  # else the vehicles' clocks stood still
+        if leaps.max(initial=0) > max(abs(size) - _STEP_US - (passed if size < 0 else 0), 0):
+            found.append(Step(low + 1 + int(leaps.argmax()), size))  # else clocks of vehicles stood still, or a link
     return sorted(found)
 
 
 def _steps_of(at: IntArray, stamp: IntArray, boot: IntArray) -> Iterator[tuple[int, int, int, int]]:
     """Where one vehicle's time and the stamps come apart for good.
+
+    Messages that are late make the stamps run ahead too, until the link has caught up. So what counts is the quickest
+    message before and behind; and where the stamps come back by themselves within a minute, it was the link. Only where
+    they run back from one record to the next they were set back.
 
     Gives the records before and behind it, by how much, and the vehicle's time between them.
     """
@@ -287,9 +292,14 @@ def _steps_of(at: IntArray, stamp: IntArray, boot: IntArray) -> Iterator[tuple[i
     for start, stop in itertools.pairwise(starts):
         own, ahead = boot[start:stop], stamp[start:stop] - boot[start:stop]
         for k in np.flatnonzero(np.abs(np.diff(ahead)) > _STEP_US).tolist():
-            before = ahead[: k + 1][own[: k + 1] >= own[k] - _WINDOW_US]
-            behind = ahead[k + 1 :][own[k + 1 :] <= own[k + 1] + _WINDOW_US]
-            size = int(behind.min() - before.min())
+            before = ahead[: k + 1][own[: k + 1] >= own[k] - _WINDOW_US].min()
+            behind = ahead[k + 1 :][own[k + 1 :] <= own[k + 1] + _WINDOW_US].min()
+            size = int(behind - before)
+            set_back = np.flatnonzero(np.diff(stamp[start + k + 1 : stop]) < -_STEP_US)
+            until = k + 2 + int(set_back[0]) if len(set_back) else len(own)
+            later = ahead[k + 1 : until][own[k + 1 : until] <= own[k + 1] + _FOR_GOOD_US].min()
+            if size > 0 and later - before < size / 2:
+                continue
             if abs(size) > _STEP_US and np.sign(size) == np.sign(ahead[k + 1] - ahead[k]):
                 yield int(at[start + k]), int(at[start + k + 1]), size, int(own[k + 1] - own[k])
 

@@ -15,11 +15,9 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, runtime_checkable
 
 from groundstation.core.errors import UserError
 from groundstation.core.files import require_regular
-from groundstation.core.own_files import open_alone
 from groundstation.mavlink.codec import (
     MAGIC_V1,
     MAGIC_V2,
@@ -31,6 +29,7 @@ from groundstation.mavlink.codec import (
     message_name,
     whole_frame,
 )
+from groundstation.records.log_file import Settling, Sink, opened
 from groundstation.records.notes import (
     FORMAT_VERSION,
     NOISE_BYTES,
@@ -75,69 +74,6 @@ _SIGNING_BYTES = 10 + 42 + 2 + 13  # header, payload with the key, checksum, sig
 _SECRETS_MAX = 256
 _LOG_MAX = 4 << 30  # bytes; a hundred vehicles write as much in an hour and more
 _JOINED_MAX = 1 << 20  # bytes of one note; a datagram has 65,535 at most
-
-
-class Sink(Protocol):
-    """What the writer needs of a binary file."""
-
-    def write(self, data: bytes, /) -> int | None:
-        """Takes bytes; may take fewer than it is given, and says how many."""
-
-    def flush(self) -> None:
-        """Hands over what it holds back."""
-
-    def close(self) -> None:
-        """Ends the file."""
-
-
-@runtime_checkable
-class Settling(Protocol):
-    """A file that is written by somebody else, later, and can be waited for."""
-
-    def settle(self) -> None:
-        """Waits, not for long, until what it was given is written; raises OSError when it is not."""
-
-
-class LogFile:
-    """A file of a log, locked and without buffers.
-
-    Args:
-        path: where it is.
-        descriptor: as ``own_files.open_alone`` opened it; it is emptied.
-    """
-
-    def __init__(self, path: Path, descriptor: int) -> None:
-        self.path = path
-        self.descriptor = descriptor
-        self._identity = os.fstat(descriptor)
-        os.ftruncate(descriptor, 0)
-
-    def write(self, data: bytes | memoryview, /) -> int:
-        """Writes as much as the system takes at once."""
-        return os.write(self.descriptor, data)
-
-    def flush(self) -> None:
-        """Raises when the file has lost its name: what is written to it then is gone when it is closed."""
-        try:
-            there = os.path.samestat(self.path.lstat(), self._identity)
-        except FileNotFoundError:
-            raise FileNotFoundError(0, "the file was deleted or moved while it was written") from None
-        if not there:
-            raise FileNotFoundError(0, "the file was replaced while it was written")
-
-    def close(self) -> None:
-        """Ends it, and its lock."""
-        os.close(self.descriptor)
-
-
-def opened(path: Path) -> Sink:
-    """A file for a log without a manifest; one that is there is replaced.
-
-    Raises:
-        UserError: it cannot be written by this program alone.
-    """
-    descriptor, _ = open_alone(path, "the log", new=False)
-    return LogFile(path, descriptor)
 
 
 class TlogWriter:

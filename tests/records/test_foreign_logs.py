@@ -132,15 +132,27 @@ def test_two_steps_are_both_put_right(tmp_path: Path) -> None:
     assert sum("the clock that" in note for note in flight.notes) == 2
 
 
-def test_what_is_no_step_is_taken_for_none(tmp_path: Path) -> None:
-    """A pause, a link that stalls and delivers everything at once, a vehicle that starts anew, a late vehicle."""
-    pause = load_flight(Station(tmp_path / "a.tlog").record(60, quiet=(20, 50)))
-    stall = load_flight(Station(tmp_path / "b.tlog").record(60, delay=lambda t: max(0.0, 33.0 - t) if t >= 30 else 0.0))
-    anew = load_flight(Station(tmp_path / "c.tlog", starts_anew_s=30.0).record(60))
-    for flight in (pause, stall, anew):
-        assert flight.duration_s == pytest.approx(59.9, abs=0.01)
-        assert not any("the clock that" in note for note in flight.notes)
-        assert flight.message is None
+NO_STEPS: dict[str, dict[str, Any]] = {
+    "a pause": {"quiet": (20, 50)},
+    "a link that stalls and delivers everything at once": {"delay": lambda t: max(0.0, 33.0 - t) if t >= 30 else 0.0},
+    "a link that gets later and later, and catches up": {"delay": lambda t: (t - 20) / 10 if 20 <= t < 45 else 0.0},
+    "a link that is late for twenty seconds": {"delay": lambda t: 1.5 if 20 <= t < 40 else 0.0},
+}
+
+
+@pytest.mark.parametrize("what", NO_STEPS)
+@pytest.mark.parametrize("sysids", [(1,), (1, 2)])
+def test_what_is_no_step_is_taken_for_none(what: str, sysids: Sequence[int], tmp_path: Path) -> None:
+    flight = load_flight(Station(tmp_path / "a.tlog", sysids=sysids).record(60, **NO_STEPS[what]))
+    assert flight.duration_s == pytest.approx(59.9, abs=0.01)
+    assert not any("the clock that" in note for note in flight.notes)
+    assert flight.message is None
+
+
+def test_a_vehicle_that_starts_anew_sets_no_clock(tmp_path: Path) -> None:
+    flight = load_flight(Station(tmp_path / "c.tlog", starts_anew_s=30.0).record(60))
+    assert flight.duration_s == pytest.approx(59.9, abs=0.01)
+    assert not any("the clock that" in note for note in flight.notes)
 
 
 def test_stamps_that_run_back_without_any_vehicle_time_end_the_reading(

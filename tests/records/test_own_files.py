@@ -19,10 +19,11 @@ from groundstation.core.errors import UserError
 from groundstation.core.own_files import alone_in, open_alone, write_whole
 from groundstation.mavlink.keys import write_times
 from groundstation.mavlink.signing import Times
+from groundstation.records.log_file import LogFile
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
 from groundstation.records.notes import Tick
 from groundstation.records.recording import recording
-from groundstation.records.tlog import LogFile, TlogReader, TlogWriter, read_tlog
+from groundstation.records.tlog import TlogReader, TlogWriter, read_tlog
 from tests.app.commands import gs
 
 EPOCH_US = 1_577_836_800_000_000

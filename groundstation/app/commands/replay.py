@@ -73,19 +73,19 @@ def replay(
             f"{log}: {mismatches} frames differ from the recorded ones, setpoints by up to "
             f"{values['max_error_m_s']:.3g} m/s; was it flown with another version? (versions in the manifest)"
         )
+    useful = flight.useful or bool(values.get("frames"))
     if flight.message is not None or not values.get("complete", True):
-        raise MissionFailed(
-            f"{flight.message or f'{log}: ends before the flight does'}; the figures are of what is there"
-        )
-    if not (flight.useful or values.get("frames")):
+        said = flight.message or f"{log}: ends before the flight does"
+        raise MissionFailed(f"{said}; the figures are of what is there" if useful else f"{said}; {nothing_in(log)}")
+    if not useful:
         raise MissionFailed(nothing_in(log))
 
 
 def nothing_in(log: Path) -> str:
     """Words for a log that holds nothing of use; what it holds was printed before."""
     return (
-        f"{log}: no vehicle tells positions in it (LOCAL_POSITION_NED or GLOBAL_POSITION_INT) and no velocity setpoint"
-        " was sent; what there is, is listed above"
+        f"{log}: no vehicle tells a position in it that counts (LOCAL_POSITION_NED, or GLOBAL_POSITION_INT with a place"
+        " on earth) and no velocity setpoint was sent; what there is, is listed above"
     )
 
 
