@@ -20,9 +20,10 @@ from groundstation.links.opening import open_link
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Runner
+from groundstation.records.log_file import LogFile, Sink
 from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest
 from groundstation.records.recording import recording
-from groundstation.records.tlog import LogFile, Sink, TlogWriter
+from groundstation.records.tlog import TlogWriter
 
 AnySession = TypeVar("AnySession", bound=Session)
 MakeSession = Callable[[Runner, TlogWriter | None, FlightGate | None], AnySession]
