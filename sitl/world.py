@@ -279,7 +279,10 @@ class World:
 
     @property
     def min_distance_airborne_m(self) -> float:
-        """Smallest distance of two vehicles that were both off the ground; infinite before there were two."""
+        """Smallest distance of two vehicles of which one at least was off the ground, wrecks included.
+
+        Infinite before anybody was.
+        """
         self._measure_distances()
         return math.sqrt(float(self._nearest_squared.min(initial=math.inf)))
 
@@ -455,10 +458,10 @@ class World:
         air = np.stack([item[1] for item in self._history])
         self._history.clear()
         first, second = self._pairs
-        both = air[:, first] & air[:, second]
-        if both.any():
+        counted = air[:, first] | air[:, second]  # whoever stands may be landed on
+        if counted.any():
             delta = pos[:, :, first] - pos[:, :, second]
-            squared = np.where(both, (delta * delta).sum(axis=1), math.inf)
+            squared = np.where(counted, (delta * delta).sum(axis=1), math.inf)
             np.minimum(self._nearest_squared, squared.min(axis=0), out=self._nearest_squared)
 
     # -- making of ----------------------------------------------------------------------------------------------

@@ -160,8 +160,8 @@ class TruthMeter:
     Attributes:
         formation_error_m: largest true |d_ij - d*_ij| over all pairs and all ticks of all holds; NaN before.
         move_error_m: the same of all moves.
-        min_clearance: smallest true clearance between two vehicles in the air, in the norm of the safety region: at any
-            time for a sphere, at any tick for others; infinite before.
+        min_clearance: smallest true clearance between two vehicles, one at least in the air, in the norm of the safety
+            region: at any time for a sphere, at any tick for others; infinite before.
     """
 
     def __init__(self, world: World) -> None:
@@ -186,7 +186,7 @@ class TruthMeter:
             self.min_clearance = self._world.min_distance_airborne_m / region.radius_m
         else:
             truth = self._world.truth
-            self.min_clearance = min(self.min_clearance, min_clearance(truth.pos_enu_m, region, truth.airborne))
+            self.min_clearance = min(self.min_clearance, min_clearance(truth.pos_enu_m, region, flying=truth.airborne))
         if runner.phase is Phase.HOLD:
             error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))

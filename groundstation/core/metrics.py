@@ -75,43 +75,52 @@ def size_ratios(pos_m: FloatArray, points_m: FloatArray) -> tuple[float, float]:
     return level, upright
 
 
-def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None) -> float:
+def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None, *, flying: BoolArray | None = None) -> float:
     """Smallest distance between two counted agents.
 
     Args:
         pos_m: shape (n, 3), any one frame; unknown positions (NaN) count as nobody.
-        counted: who counts (airborne, say), shape (n,); everybody when absent.
+        counted: who counts, shape (n,); everybody when absent.
+        flying: who is in the air, shape (n,): then only pairs count of which one at least is. Two that stand are as
+            they were put, but whoever flies can come down on one that stands.
 
     Returns:
-        Metres; infinite when fewer than two agents count.
+        Metres; infinite when no pair counts.
     """
-    here = np.isfinite(pos_m).all(axis=1)
-    if counted is not None:
-        here = here & counted
-    distances = pair_distances_m(pos_m[here])
-    first, second = np.triu_indices(len(distances), 1)
-    return float(distances[first, second].min()) if len(first) else float("inf")
+    first, second = _pairs(pos_m, counted, flying)
+    return float(np.linalg.norm(pos_m[second] - pos_m[first], axis=1).min(initial=np.inf))
 
 
-def min_clearance(pos_m: FloatArray, region: SafetyRegion, counted: BoolArray | None = None) -> float:
+def min_clearance(
+    pos_m: FloatArray, region: SafetyRegion, counted: BoolArray | None = None, *, flying: BoolArray | None = None
+) -> float:
     """Smallest clearance between two counted agents in a safety region's own norm: below 1, one is inside.
 
     Args:
         pos_m: shape (n, 3), any frame whose third axis is vertical; unknown positions (NaN) count as nobody.
         region: the safety region.
         counted: who counts, shape (n,); everybody when absent.
+        flying: as for ``min_distance_m``.
 
     Returns:
-        Dimensionless; infinite when fewer than two agents count.
+        Dimensionless; infinite when no pair counts.
     """
     if isinstance(region, SafetySphere):
-        return min_distance_m(pos_m, counted) / region.radius_m
+        return min_distance_m(pos_m, counted, flying=flying) / region.radius_m
+    first, second = _pairs(pos_m, counted, flying)
+    return float(region.clearance(pos_m[second] - pos_m[first]).min(initial=np.inf))
+
+
+def _pairs(pos_m: FloatArray, counted: BoolArray | None, flying: BoolArray | None) -> tuple[IntArray, IntArray]:
+    """Pairs of agents with known positions, both counted, one at least in the air where that is asked for."""
     here = np.isfinite(pos_m).all(axis=1)
     if counted is not None:
         here = here & counted
-    first, second = np.triu_indices(int(here.sum()), 1)
-    known = pos_m[here]
-    return float(region.clearance(known[second] - known[first]).min(initial=np.inf))
+    first, second = np.triu_indices(len(pos_m), 1)
+    wanted: BoolArray = np.asarray(here[first] & here[second])
+    if flying is not None:
+        wanted = wanted & (flying[first] | flying[second])
+    return first[wanted], second[wanted]
 
 
 def vertical_orientation(height_m: FloatArray, points_height_m: FloatArray, role_of_agent: IntArray) -> float:

@@ -90,11 +90,11 @@ class Lookout:
     def measure(self, poses: Poses, now_ns: int) -> None:
         """Enters how near to each other they come, by their own reports."""
         team, figures, region = self._team, self._team.figures, self._team.plan.region
-        counted = np.asarray(team.airborne(now_ns) & ~team.board.blind, dtype=np.bool_)
-        distance_m = min_distance_m(poses.pos_team_ned_m, counted)
+        counted, flying = np.asarray(~team.board.blind, dtype=np.bool_), team.airborne(now_ns)
+        distance_m = min_distance_m(poses.pos_team_ned_m, counted, flying=flying)
         figures.min_distance_m = min(figures.min_distance_m, distance_m)
         if isinstance(region, SafetySphere):
             figures.min_clearance = figures.min_distance_m / region.radius_m
         else:
-            clearance = min_clearance(poses.pos_team_ned_m, region, counted)
+            clearance = min_clearance(poses.pos_team_ned_m, region, counted, flying=flying)
             figures.min_clearance = min(figures.min_clearance, clearance)

@@ -315,7 +315,8 @@ def test_a_killed_vehicle_falls_at_once_and_the_others_come_back(vehicle: int) -
 
     flight = Flight(cube8(), interrupt_when=look)
     assert stopped[0] - told[0] <= 0.1 * SECOND_NS
-    assert flight.runner.reason == f"vehicle {vehicle}: killed by the operator"
+    # Whoever has its pad beside the wreck is told to be near it as well.
+    assert flight.runner.reason.startswith(f"vehicle {vehicle}: killed by the operator")
     truth = flight.world.truth
     assert not truth.armed.any()
     assert not truth.airborne.any()

@@ -40,6 +40,17 @@ def test_min_distance_counts_who_counts() -> None:
     assert metrics.min_distance_m(pos, np.array([True, False, False, True])) == float("inf")
 
 
+def test_whoever_flies_counts_against_those_that_stand() -> None:
+    pos = np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 1], [np.nan, 0, 0]])
+    nobody, one = np.zeros(4, dtype=np.bool_), np.array([True, False, False, False])
+    assert metrics.min_distance_m(pos, flying=nobody) == float("inf")
+    assert metrics.min_distance_m(pos, flying=one) == 5.0  # the two that stand 1 m apart are as they were put
+    assert metrics.min_distance_m(pos, flying=np.array([False, False, True, True])) == 1.0
+    assert metrics.min_distance_m(pos, ~one, flying=one) == float("inf")
+    assert metrics.min_clearance(pos, SafetyCylinder(0.5, 0.5, 1.0), flying=one) == 10.0
+    assert metrics.min_clearance(pos, SafetySphere(0.5, 0.5), flying=one) == 10.0
+
+
 def test_pair_distances_of_a_whole_log_at_once() -> None:
     log = np.random.default_rng(0).normal(size=(5, 3, 3))
     distances = metrics.pair_distances_m(log)

@@ -532,6 +532,30 @@ def test_two_vehicles_below_r_bring_everybody_back() -> None:
     assert found.abort == "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
 
 
+@pytest.mark.parametrize("lands", [False, True])
+def test_whoever_flies_counts_against_one_that_stands_or_lands(lands: bool) -> None:
+    scene = Scene()
+    scene.pos[1] = scene.pos[0] + [0.0, 0.0, 0.44]
+    scene.fleet.armed[1] = False  # which is how tests here tell who stands
+    scene.excused[1] = True
+    scene.excused[0] = lands
+    (found,) = scene.run(0.5)
+    assert found.abort == "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
+
+
+def test_two_that_stand_are_as_they_were_put_and_a_place_that_is_not_known_is_nobodys() -> None:
+    scene = Scene()
+    scene.pos[1] = scene.pos[0] + [0.3, 0.0, 0.0]
+    scene.fleet.armed[:2] = False
+    scene.excused[:2] = True
+    assert scene.run(0.5) == []
+    scene = Scene()
+    scene.pos[1] = scene.pos[0] + [0.3, 0.0, 0.0]
+    scene.fleet.armed[1], scene.excused[1] = False, True
+    scene.age_ns[1] = 2 * SECOND_NS
+    assert [item for item in scene.run(0.5) if item.abort and "apart" in item.abort] == []
+
+
 def test_safety_regions_of_other_shapes_have_words_of_their_own() -> None:
     scene = Scene("avoidance={radius_m: 0.45, activation_m: 0.5, shape: cylinder, half_height_m: 0.6}")
     scene.pos[1] = scene.pos[0] + [0.1, 0.0, 0.5]

@@ -86,8 +86,8 @@ def test_link_delay_both_ways() -> None:
     assert arrived - sent == pytest.approx(0.2, abs=0.005)
 
 
-def test_smallest_distance_counts_only_pairs_in_the_air_and_every_physics_step() -> None:
-    pads = ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (3.0, 0.0, 0.0))
+def test_smallest_distance_counts_pairs_of_which_one_is_in_the_air_and_every_physics_step() -> None:
+    pads = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 9.0, 0.0), (3.0, 9.1, 0.0))
     ground = Ground(WorldConfig(vehicles=[VehicleConfig(k + 1, pad_enu_m=pad) for k, pad in enumerate(pads)]))
     ground.run(2.3)
     assert ground.world.min_distance_airborne_m == math.inf
@@ -102,8 +102,11 @@ def test_smallest_distance_counts_only_pairs_in_the_air_and_every_physics_step()
         ground.command(176, 1, 6, vehicle=vehicle)
         ground.command(400, 1, vehicle=vehicle)
     ground.run(2.5)
-    # the second stands 0.3 m beside the first and does not count
-    assert 2.9 < ground.world.min_distance_airborne_m < 3.0
+    # The second stands 1 m beside the first, which lifts off; the last two stand beside each other and do not count.
+    pairs = ground.world.min_distance_airborne_of_pairs_m()
+    assert ground.world.min_distance_airborne_m == pairs[0, 1] == pytest.approx(1.0, abs=0.02)
+    assert pairs[0, 2] == pytest.approx(3.0, abs=0.1)
+    assert pairs[3, 4] == math.inf
     ground.world.reset_min_distance()
     assert ground.world.min_distance_airborne_m == math.inf
     smallest = math.inf
@@ -261,6 +264,28 @@ def test_pads_on_posts_carry_who_stands_on_them_and_can_be_drawn_in() -> None:
     assert dynamics.pos_enu_m[2, 1] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_whoever_comes_down_on_one_that_has_landed_is_seen_to() -> None:
+    team = World(WorldConfig(vehicles=tuple(VehicleConfig(k + 1, pad_enu_m=(2.0 * k, 0.0, 0.0)) for k in range(2))), 1)
+    team.dynamics.flying[0] = True
+
+    def fly(seconds: float, east: float, up: float) -> None:
+        team.dynamics.vel_sp_enu_m_s[:, 0] = (east, 0.0, up)
+        team.advance(team.now_ns + round(seconds * 1e9))
+
+    fly(3.0, 0.0, 0.5)
+    fly(4.0, 0.5, 0.0)
+    fly(1.0, 0.0, 0.0)  # over the one that stands
+    assert team.truth.airborne.tolist() == [True, False]
+    over_m = float(np.linalg.norm(team.truth.pos_enu_m[0] - team.truth.pos_enu_m[1]))
+    assert team.min_distance_airborne_m == pytest.approx(over_m, abs=0.1)
+    fly(6.0, 0.0, -0.5)
+    assert not team.truth.airborne.any()
+    assert team.min_distance_airborne_m < 0.1
+    there_m = team.min_distance_airborne_m
+    team.advance(team.now_ns + 2_000_000_000)
+    assert team.min_distance_airborne_m == there_m
+
+
 def test_smallest_distances_of_pairs_agree_with_the_smallest_of_all() -> None:
     config = WorldConfig(
         vehicles=tuple(VehicleConfig(sysid=i + 1, pad_enu_m=(float(i * i), 0.0, 0.0)) for i in range(3))
@@ -272,7 +297,8 @@ def test_smallest_distances_of_pairs_agree_with_the_smallest_of_all() -> None:
     team.advance(1_000_000_000)
     pairs = team.min_distance_airborne_of_pairs_m()
     assert pairs[0, 1] == pairs[1, 0] == team.min_distance_airborne_m < 1.1
-    assert np.isinf(pairs[2]).all()
+    assert pairs[0, 2] == pytest.approx(4.0, abs=0.1)  # the third stands
+    assert math.isinf(pairs[2, 2])
     team.reset_min_distance()
     assert team.min_distance_airborne_m == np.inf
 

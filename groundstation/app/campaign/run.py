@@ -230,8 +230,8 @@ class _Flown:
     def _take_clearance(self) -> None:
         """Regions that are no spheres: in their norm, at every tick."""
         truth = self._world.truth
-        counted = np.asarray(truth.airborne & ~self._unsteered)
-        clearance = min_clearance(frames.ned_from_enu(truth.pos_enu_m), self._plan.region, counted)
+        pos_ned_m = frames.ned_from_enu(truth.pos_enu_m)
+        clearance = min_clearance(pos_ned_m, self._plan.region, ~self._unsteered, flying=truth.airborne)
         self._min_clearance = min(self._min_clearance, clearance)
 
     def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:

@@ -90,11 +90,16 @@ def _without(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
 
 
 class Distance:
-    """Two vehicles nearer to each other than r, or in each other's safety region, by their own reports."""
+    """Two vehicles nearer to each other than r, or in each other's safety region, by their own reports.
+
+    One of the two at least is in the air. The other one may stand, land, or be ours no more, as long as it says where
+    it is: whoever flies can come down on it all the same. Two that stand are as they were put.
+    """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._region, self._radius_m = plan.region, plan.spec.avoidance.radius_m
+        self._told_ns = round(plan.spec.limits.pose_lost_s * SECOND_NS)
         self._first, self._second = np.triu_indices(n, 1)
         self._lasting = Lasting(len(self._first), _BESIDE_S)
 
@@ -102,8 +107,9 @@ class Distance:
         """Brings everybody back: what has kept them apart has failed."""
         offsets = sight.pos_team_ned_m[self._second] - sight.pos_team_ned_m[self._first]
         apart = self._region.clearance(offsets)
-        counts = sight.airborne & ours & ~sight.excused & ~sight.blind
-        near = (apart < 1.0) & counts[self._first] & counts[self._second]
+        known = ~sight.blind & (sight.now_ns - sight.pose_ns < self._told_ns)
+        flies = sight.airborne & ours
+        near = (apart < 1.0) & known[self._first] & known[self._second] & (flies[self._first] | flies[self._second])
         for pair in self._lasting(near, sight.now_ns):
             ids = sight.fleet.sysid[[self._first[pair], self._second[pair]]]
             apart_m = float(np.linalg.norm(offsets[pair]))
