@@ -113,7 +113,7 @@ def min_clearance(
 
 def _pairs(pos_m: FloatArray, counted: BoolArray | None, flying: BoolArray | None) -> tuple[IntArray, IntArray]:
     """Pairs of agents with known positions, both counted, one at least in the air where that is asked for."""
-    here = np.isfinite(pos_m).all(axis=1)
+    here: BoolArray = np.asarray(np.isfinite(pos_m).all(axis=1))
     if counted is not None:
         here = here & counted
     first, second = np.triu_indices(len(pos_m), 1)

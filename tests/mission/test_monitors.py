@@ -532,13 +532,18 @@ def test_two_vehicles_below_r_bring_everybody_back() -> None:
     assert found.abort == "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
 
 
+def _told_to_land(scene: Scene, *rows: int) -> None:
+    scene.roster.land(rows, scene.now_ns)
+    for row in rows:
+        scene.roster.tell_to_land(row, scene.now_ns)
+
+
 @pytest.mark.parametrize("lands", [False, True])
 def test_whoever_flies_counts_against_one_that_stands_or_lands(lands: bool) -> None:
     scene = Scene()
     scene.pos[1] = scene.pos[0] + [0.0, 0.0, 0.44]
     scene.fleet.armed[1] = False  # which is how tests here tell who stands
-    scene.excused[1] = True
-    scene.excused[0] = lands
+    _told_to_land(scene, *range(not lands, 2))
     (found,) = scene.run(0.5)
     assert found.abort == "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
 
@@ -547,11 +552,12 @@ def test_two_that_stand_are_as_they_were_put_and_a_place_that_is_not_known_is_no
     scene = Scene()
     scene.pos[1] = scene.pos[0] + [0.3, 0.0, 0.0]
     scene.fleet.armed[:2] = False
-    scene.excused[:2] = True
+    _told_to_land(scene, 0, 1)
     assert scene.run(0.5) == []
     scene = Scene()
     scene.pos[1] = scene.pos[0] + [0.3, 0.0, 0.0]
-    scene.fleet.armed[1], scene.excused[1] = False, True
+    scene.fleet.armed[1] = False
+    _told_to_land(scene, 1)
     scene.age_ns[1] = 2 * SECOND_NS
     assert [item for item in scene.run(0.5) if item.abort and "apart" in item.abort] == []
 
