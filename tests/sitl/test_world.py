@@ -117,7 +117,7 @@ def test_smallest_distance_counts_pairs_of_which_one_is_in_the_air_and_every_phy
         ground.world.advance(ground.now_ns)
         pos = ground.world.truth.pos_enu_m
         smallest = min(smallest, float(np.linalg.norm(pos[0] - pos[2])))
-    assert ground.world.min_distance_airborne_m == pytest.approx(smallest, abs=1e-12)
+    assert ground.world.min_distance_airborne_of_pairs_m()[0, 2] == pytest.approx(smallest, abs=1e-12)
     assert smallest < 1.5
 
 
