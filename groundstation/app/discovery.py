@@ -135,6 +135,8 @@ class Discovery:
                 kind = next((item for item in AUTOPILOTS.values() if item.mav_autopilot == number), None)
                 if found is None:
                     found = self.found[link, frame.sysid] = Found(link, frame.sysid, kind, number, sender.mav_type)
+                # ArduPilot's helicopters begin as quadrotors: the newest word counts.
+                found.autopilot, found.mav_autopilot, found.mav_type = kind, number, sender.mav_type
                 found.mode, found.armed = int(values["custom_mode"]), bool(values["base_mode"] & _ARMED_FLAG)
                 if peer in found.heard_ns or len(found.heard_ns) < _PEERS_MAX:
                     found.heard_ns[peer] = now_ns

@@ -16,6 +16,7 @@ from groundstation.mavlink.kinds import Kind
 
 _TOLD_NS = 10_000_000_000
 _COMPONENT_NS = 5_000_000_000
+_BOARDS_MAX, _BOARDS_NS = 8, 60_000_000_000
 _BATTERY_STEP = 15  # points by which no pack changes between two reports
 _LANDED_WORDS = {1: "on the ground", 2: "in the air", 3: "taking off", 4: "landing"}
 
@@ -41,6 +42,7 @@ class Senders:
         self._parts: dict[int, tuple[Kind, int]] = {}
         self._strange: dict[int, tuple[Kind, int]] = {}
         self._components: dict[int, tuple[int, int]] = {}
+        self._boards: dict[int, dict[bytes, int]] = {}
 
     # What is heard
 
@@ -74,6 +76,16 @@ class Senders:
         """Takes note of an autopilot's heartbeat from another component."""
         self._components[vehicle] = (compid, t_rx_ns)
 
+    def board(self, vehicle: int, uid: bytes, t_rx_ns: int) -> None:
+        """Takes the number of the board that answered; one of zeros is none."""
+        boards = self._boards.setdefault(vehicle, {})
+        if uid.strip(b"\0") and (uid in boards or len(boards) < _BOARDS_MAX):
+            boards[uid] = t_rx_ns
+
+    def forget_board(self, vehicle: int) -> None:
+        """The vehicle has started anew: it may be another one."""
+        self._boards.pop(vehicle, None)
+
     # What follows from it
 
     def part(self, vehicle: int, now_ns: int) -> Kind | None:
@@ -97,6 +109,8 @@ class Senders:
 
     def alternating(self, vehicle: int, now_ns: int) -> str | None:
         """Words for what two senders say in turns; None where there is nothing of the kind."""
+        if sum(now_ns - t_ns < _BOARDS_NS for t_ns in self._boards.get(vehicle, {}).values()) > 1:
+            return "two boards answer to its id (AUTOPILOT_VERSION)"
         for alternation, words in self._words:
             if alternation.two_at_once(vehicle, now_ns):
                 return words(*alternation.values(vehicle))

@@ -44,6 +44,8 @@ _ELSEWHERE_MAX = 2_000
 _METRES_PER_DEGREE = 111_320.0
 _LANDED_FRESH_NS = 3_000_000_000  # so long a landed state speaks against a heartbeat
 _TWO_PLACES_M = 1.0
+_STILL_M_S = 0.25  # whoever comes down is faster
+_FRESH_NS = 500_000_000
 COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "ATTITUDE")
 """Message types whose rate is looked after."""
 
@@ -100,6 +102,7 @@ class Fleet:
         armed: from the heartbeat, shape (n,). "Disarmed" is not believed of one that was armed while its landed state
             says that it is in the air: autopilots stand on the ground by their own report as soon as they disarm.
         disarm_doubted: such a heartbeat was the last one, shape (n,).
+        disarm_expected: its motors were told to stop: then that word is believed, whatever else it says, shape (n,).
         ground_doubted: reports to stand on the ground and is seen above it, shape (n,); whoever sees that writes it.
         system_status: MAV_STATE, UNKNOWN before, shape (n,).
         pos_local_ned_m: newest valid LOCAL_POSITION_NED, in each vehicle's own origin, NaN before, shape (n, 3).
@@ -150,6 +153,7 @@ class Fleet:
         self.custom_mode = _unknowns(n)
         self.armed: BoolArray = np.zeros(n, dtype=np.bool_)
         self.disarm_doubted: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.disarm_expected: BoolArray = np.zeros(n, dtype=np.bool_)
         self.ground_doubted: BoolArray = np.zeros(n, dtype=np.bool_)
         self.system_status = _unknowns(n)
         self.pos_local_ned_m: FloatArray = np.full((n, 3), np.nan)
@@ -383,6 +387,9 @@ class Fleet:
         kinds = values["type"].astype(np.int64) << 8 | values["autopilot"]
         self.senders.heartbeat(row, kinds, armed, mode, t_ns)
         flies = np.isin(self.landed_state[row], _OFF_THE_GROUND) & (t_ns - self.landed_ns[row] < _LANDED_FRESH_NS)
+        # Some firmware says "landing" for ever: one that stands still then has landed.
+        flies &= (self.landed_state[row] != LANDED_LANDING) | self._moves(row, t_ns)
+        flies &= ~self.disarm_expected[row]
         doubted = ~armed & self.armed[row] & flies
         for k in np.flatnonzero(doubted).tolist():
             told = (int(t_ns[k]), int(mode[k]), int(values["system_status"][k]))
@@ -395,6 +402,16 @@ class Fleet:
         self.custom_mode[row] = mode
         self.armed[row] = armed
         self.system_status[row] = values["system_status"]
+
+    def _moves(self, row: IntArray, t_ns: IntArray) -> BoolArray:
+        """Whether vehicles move by either of their velocities, shape (k,); unknown counts as moving."""
+        speeds = []
+        for velocity, measured_ns in ((self.vel_ned_m_s, self.pose_ns), (self.place_vel_ned_m_s, self.place_ns)):
+            speed = np.linalg.norm(velocity[row], axis=1)
+            speeds.append(np.where(t_ns - measured_ns[row] < _LANDED_FRESH_NS, speed, np.nan))
+        known = np.isfinite(speeds)
+        fastest = np.where(known, speeds, -1.0).max(axis=0)
+        return np.asarray((fastest > _STILL_M_S) | ~known.any(axis=0))
 
     def _believe_disarmed(self, vehicle: int) -> None:
         """Takes the heartbeat that was doubted: the vehicle says that it is on the ground, too."""
@@ -417,6 +434,7 @@ class Fleet:
     def _start_anew(self, vehicle: int) -> None:
         """Forgets what a vehicle that has started anew no longer stands for."""
         self.restarts[vehicle] += 1
+        self.senders.forget_board(vehicle)
         self.clocks.forget(vehicle)
         self.origin_deg_m[vehicle] = np.nan
         self.origin_ns[vehicle] = NEVER
@@ -428,11 +446,11 @@ class Fleet:
         np.add.at(self.seen["LOCAL_POSITION_NED"], row, 1)
         position = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
         velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1).astype(np.float64)
-        number = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
+        number: BoolArray = np.asarray(np.isfinite(np.concatenate([position, velocity], axis=1)).all(axis=1))
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid: BoolArray = number & fresh
+        self._compare_places(position, velocity, row, t_ns, number)
         if not valid.all():
-            self._compare_stragglers(position, velocity, row, t_ns, number & ~fresh)
             self._count("position that is not a number", int((~number).sum()))
             position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
         self.pos_local_ned_m[row] = position
@@ -440,13 +458,14 @@ class Fleet:
         self.pose_ns[row] = measured_ns
         return valid
 
-    def _compare_stragglers(
-        self, position: FloatArray, velocity: FloatArray, row: IntArray, t_ns: IntArray, late: BoolArray
+    def _compare_places(
+        self, position: FloatArray, velocity: FloatArray, row: IntArray, t_ns: IntArray, number: BoolArray
     ) -> None:
-        """Looks at positions that are older than what is known: those of one vehicle lie on its way."""
+        """Looks for positions that are not on the way of the one before: those of one vehicle are, late ones too."""
         away = np.linalg.norm(position - self.pos_local_ned_m[row], axis=1)
         speed = np.linalg.norm(velocity, axis=1) + np.linalg.norm(self.vel_ned_m_s[row], axis=1)
-        for k in np.flatnonzero(late & (away > _TWO_PLACES_M + speed)).tolist():
+        soon = t_ns - self.pose_ns[row] < _FRESH_NS
+        for k in np.flatnonzero(number & soon & (away > _TWO_PLACES_M + speed)).tolist():
             self.senders.other_place(int(row[k]), int(t_ns[k]))
 
     def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
@@ -521,9 +540,8 @@ class Fleet:
     def _sys_status(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
         self.prearm_ok[row] = values["onboard_control_sensors_health"] & _PREARM_BIT != 0
-        self.battery_remaining[row] = np.where(
-            values["battery_remaining"] < 0, np.nan, values["battery_remaining"].astype(np.float64) / 100.0
-        )
+        percent = values["battery_remaining"].astype(np.float64)
+        self.battery_remaining[row] = np.where((percent < 0.0) | (percent > 100.0), np.nan, percent / 100.0)
         self.senders.battery(row, values["battery_remaining"].astype(np.int64), t_ns)
         millivolts = values["voltage_battery"].astype(np.float64)
         self.battery_v[row] = np.where((millivolts == 0) | (millivolts == _VOLTAGE_UNKNOWN), np.nan, millivolts * 1e-3)
@@ -535,8 +553,11 @@ class Fleet:
         self.estimator_flags[row] = batch.values["flags"]
         self.estimator_ns[row] = t_ns
 
-    def _version(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+    def _version(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         self.firmware[row] = batch.values["flight_sw_version"]
+        for values, vehicle, t in zip(batch.values, row.tolist(), t_ns.tolist(), strict=True):
+            uid = int(values["uid"]).to_bytes(8, "little") + bytes(values["uid2"])
+            self.senders.board(vehicle, uid, t)
 
     def _param_value(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         bits = np.ascontiguousarray(batch.values["param_value"]).view(np.uint32)  # never by way of another float

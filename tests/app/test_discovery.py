@@ -195,6 +195,8 @@ def test_what_no_mission_takes_is_named_and_left_out_of_the_block() -> None:
     discovery.receive(0, "p7", Sender(7, 2).heartbeat(), SECOND)
     discovery.receive(0, "p8", Sender(8).heartbeat(kind=COMPANION, autopilot=INVALID), SECOND)
     discovery.receive(0, "p1", Sender(1, 2).heartbeat(), SECOND)  # a second one beside it
+    discovery.receive(0, "p9", Sender(9).heartbeat(), SECOND)  # a helicopter of ArduPilot begins as a quadrotor
+    discovery.receive(0, "p9", Sender(9).heartbeat(kind=4), SECOND)
     block = discovery.block(SECOND)
     assert [entry["id"] for entry in yaml.safe_load(block)["vehicles"]] == [1, 250]
     assert [VehicleSpec.model_validate(entry).id for entry in yaml.safe_load(block)["vehicles"]] == [1, 250]
@@ -202,11 +204,11 @@ def test_what_no_mission_takes_is_named_and_left_out_of_the_block() -> None:
     assert [line for line in discovery.unflown() if low in line] == [f"system {i}: {low}" for i in (0, 251, 255)]
     assert f"  # system 251 is left out: {low}\n" in block
     assert [line.partition(":")[0] for line in discovery.unflown() if high in line] == [
-        f"system {i}" for i in (2, 3, 4)
+        f"system {i}" for i in (2, 3, 4, 9)
     ]
     assert "  # system 2 is left out: it says that it is a fixed wing (MAV_TYPE 1), and only multirotors" in block
     assert discovery.unflown()[-1].startswith(
         "system 7: heard as component 2 on udpin://0.0.0.0:14540, and an autopilot"
     )
-    assert [item.sysid for item in discovery.vehicles()] == [0, 1, 2, 3, 4, 250, 251, 255]
+    assert [item.sysid for item in discovery.vehicles()] == [0, 1, 2, 3, 4, 9, 250, 251, 255]
     assert discovery.vehicles()[1].type_name == "hexarotor (MAV_TYPE 13)"

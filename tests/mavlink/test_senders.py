@@ -278,3 +278,83 @@ def test_a_text_of_fifty_letters_sharp_comes_out_and_so_does_one_of_pieces_witho
     for number in range(1, 60):
         scene.hear(scene.sender.text(b"v" * 50, number, 0))
     assert len(scene.fleet.take_texts(scene.now_ns)) == 59 - 4  # no more than four wait at once
+
+
+# Quirks from public reports
+
+
+def test_two_boards_that_answer_to_one_id_are_two_vehicles_and_one_that_starts_anew_is_not() -> None:
+    """Powered by one switch, their times since start-up are alike; each board has a number of its own."""
+    scene = Scene()
+    scene.flies()
+
+    def version(uid: int, uid2: int = 0) -> bytes:
+        numbers = list(uid2.to_bytes(18, "little"))
+        empty = [0] * 8
+        return scene.sender.raw(
+            dialect.MAVLink_autopilot_version_message(0, 0x01110000, 0, 0, 0, empty, empty, empty, 0, 0, uid, numbers)
+        )
+
+    scene.hear(version(0), version(5), version(5), passed_ms=100)
+    assert scene.fleet.twin(0, scene.now_ns) is None
+    scene.hear(version(5, 9), passed_ms=100)
+    words = scene.fleet.twin(0, scene.now_ns)
+    assert words is not None
+    assert "two boards answer to its id" in words
+    scene.fleet._start_anew(0)
+    assert scene.fleet.twin(0, scene.now_ns) is None
+
+
+def test_positions_of_two_whose_clocks_are_alike_are_told() -> None:
+    scene = Scene()
+    for k in _steps(scene, 2.0, 100):
+        scene.hear(scene.sender.position(50_000 + 100 * k, 0.0))
+        scene.hear(scene.sender.position(50_001 + 100 * k, 4.0), passed_ms=1)
+    told = scene.fleet.twin_behind_one_address(0, scene.now_ns)
+    assert told is not None
+    assert "their positions alternate" in told
+
+
+def test_one_jump_of_a_position_is_no_second_sender() -> None:
+    scene = Scene()
+    for k in _steps(scene, 4.0, 100):
+        scene.hear(scene.sender.position(50_000 + 100 * k, 4.0 if k >= 20 else 0.0))
+        assert scene.fleet.twin_behind_one_address(0, scene.now_ns) is None
+
+
+@pytest.mark.parametrize(("speed_m_s", "armed"), [(0.5, True), (0.02, False)])
+def test_firmware_that_says_landing_for_ever_is_believed_to_be_disarmed_when_it_stands(
+    speed_m_s: float, armed: bool
+) -> None:
+    """PX4 1.7 did so: disarmed, and the landed state stayed at "landing"."""
+    scene = Scene()
+    scene.flies()
+    for k in _steps(scene, 2.0, 100):
+        position = dialect.MAVLink_local_position_ned_message(50_000 + 100 * k, 0.0, 0.0, -1.0, 0.0, 0.0, speed_m_s)
+        scene.hear(scene.sender.raw(position), scene.sender.landed(4))
+    scene.hear(scene.sender.heartbeat(DISARMED, LOITER))
+    assert bool(scene.fleet.armed[0]) is armed
+
+
+def test_whoever_was_told_to_stop_its_motors_is_believed_when_it_says_disarmed() -> None:
+    scene = Scene()
+    scene.flies()
+    scene.fleet.disarm_expected[0] = True
+    scene.hear(scene.sender.heartbeat(DISARMED), passed_ms=100)
+    assert not scene.fleet.armed[0]
+
+
+@pytest.mark.parametrize("percent", [-1, 101, 127, -128])
+def test_a_battery_that_cannot_be_is_not_known(percent: int) -> None:
+    scene = Scene()
+    scene.hear(scene.sender.battery(percent))
+    assert np.isnan(scene.fleet.battery_remaining[0])
+
+
+def test_a_helicopter_that_begins_as_a_quadrotor_is_one_by_its_next_heartbeat() -> None:
+    """ArduPilot's first heartbeat after start-up."""
+    scene = Scene()
+    scene.hear(scene.sender.heartbeat(DISARMED, 0, autopilot=ARDUPILOT))
+    scene.hear(scene.sender.heartbeat(DISARMED, 0, kind=4, autopilot=ARDUPILOT), passed_ms=1000)
+    assert unflown_words(int(scene.fleet.mav_type[0])) is not None
+    assert scene.fleet.twin(0, scene.now_ns) is None

@@ -35,6 +35,7 @@ class Killing:
         self._roster.kill(vehicles, now_ns)
         for vehicle in vehicles:
             self._commands.clear(vehicle)
+            self._fleet.disarm_expected[vehicle] = True
             self._sent_ns[vehicle] = NEVER
 
     def step(self, now_ns: int) -> None:
