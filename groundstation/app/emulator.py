@@ -17,7 +17,6 @@ from groundstation.app.session import Session
 from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
-from groundstation.core.regions import SafetySphere
 from groundstation.mission.ground.failsafe import make_failsafe
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
@@ -182,7 +181,7 @@ class TruthMeter:
         """Looks at the world after a tick."""
         runner = session.runner
         region = runner.plan.region
-        if isinstance(region, SafetySphere):  # known at every physics step
+        if region.by_distance:  # known at every physics step
             self.min_clearance = self._world.min_distance_airborne_m / region.radius_m
         else:
             truth = self._world.truth

@@ -278,7 +278,7 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
 def _distance_left(views: LocalViews, params: DamperParams) -> tuple[FloatArray, FloatArray]:
     """Distances (m, n) to the region with its margin, infinite where there is none, and their gradients (m, n, 3)."""
     rel = views.rel_pos_flu_m
-    if params.region is None or isinstance(params.region, SafetySphere):
+    if params.region is None or params.region.by_distance:
         x, y, z = rel[..., 0], rel[..., 1], rel[..., 2]
         length = np.sqrt(x * x + y * y + z * z)
         seen = views.visible & (length > 1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import reprlib
 import stat
 from collections.abc import Hashable, Sequence
@@ -189,18 +190,23 @@ def _describe(model: type[BaseModel], source: str, item: Any) -> str:
             key += f"[{part}]"
         elif part not in {"float", "constrained-float"} and not str(part).startswith(("literal[", "function-")):
             key += f".{part}" if key else str(part)
+    if item["type"] == "union_tag_invalid":  # one of several kinds, named by its only key
+        name, known = str(item["ctx"]["tag"]), set(re.findall("'([^']*)'", item["ctx"]["expected_tags"]))
+        return f"{source}: {key}.{name}: {_unknown(name, known)}"
     if item["type"] == "extra_forbidden":
-        known = _keys_beside(model, item["loc"])
-        name = str(item["loc"][-1])
-        # Units stand at the end of our keys: who leaves them out gets the whole key.
-        whole = [other for other in sorted(known) if other.startswith(f"{name}_")]
-        near = whole or difflib.get_close_matches(name, sorted(known), n=1)
-        remedy = f"did you mean {near[0]}?" if near else "remove it or correct its spelling"
-        return f"{source}: {key}: unknown key, {remedy}"
+        return f"{source}: {key}: {_unknown(str(item['loc'][-1]), _keys_beside(model, item['loc']))}"
     if item["type"] == "missing":
         return f"{source}: {key}: is missing, give it a value"
     message = _words(item)
     return f"{source}: {key or 'file'}: {message}, got {_short.repr(item['input'])}"
+
+
+def _unknown(name: str, known: set[str]) -> str:
+    """Says that nobody knows a key, and which one may have been meant."""
+    # Units stand at the end of our keys: who leaves them out gets the whole key.
+    whole = [other for other in sorted(known) if other.startswith(f"{name}_")]
+    near = whole or difflib.get_close_matches(name, sorted(known), n=1)
+    return f"unknown key, did you mean {near[0]}?" if near else "unknown key, remove it or correct its spelling"
 
 
 def _words(item: Any) -> str:

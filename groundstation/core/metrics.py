@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.regions import SafetyRegion, SafetySphere
+from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -105,7 +105,7 @@ def min_clearance(
     Returns:
         Dimensionless; infinite when no pair counts.
     """
-    if isinstance(region, SafetySphere):
+    if region.by_distance:
         return min_distance_m(pos_m, counted, flying=flying) / region.radius_m
     first, second = _pairs(pos_m, counted, flying)
     return float(region.clearance(pos_m[second] - pos_m[first]).min(initial=np.inf))

@@ -38,6 +38,8 @@ class SafetyRegion(ABC):
     activation_m: float
 
     name: ClassVar[str]
+    by_distance: ClassVar[bool] = False
+    """Two are clear of each other by their distance alone, wherever up is; clearance is distance over r."""
 
     def __post_init__(self) -> None:
         """Refuses radii that are not 0 < r <= d."""
@@ -72,6 +74,17 @@ class SafetyRegion(ABC):
             no direction.
         """
 
+    def near_words(self, apart_m: float, clearance: float) -> str:
+        """Says of two that are inside of it how near they are to each other.
+
+        Args:
+            apart_m: their distance.
+            clearance: the same in the region's own norm.
+        """
+        if self.by_distance:
+            return f"{apart_m:.2f} m apart, minimum is {self.radius_m:g} m"
+        return f"{apart_m:.2f} m apart, {clearance:.0%} of what their safety region asks for"
+
     @abstractmethod
     def reach_m(self, beyond_m: float) -> float:
         """Euclidean distance from which on everybody is farther than ``beyond_m`` outside of the region."""
@@ -86,6 +99,7 @@ class SafetySphere(SafetyRegion):
     """The paper's safety region: a ball of radius r around every agent nearer than d."""
 
     name: ClassVar[str] = "sphere"
+    by_distance: ClassVar[bool] = True
 
     def grown(self, by_m: float) -> Self:
         """Radius and activation larger by the distance."""

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.core.metrics import min_clearance, min_distance_m
-from groundstation.core.regions import SafetySphere
 from groundstation.core.types import FloatArray
 from groundstation.mission.blame import Blame
 from groundstation.mission.flight.poses import Poses
@@ -93,7 +92,7 @@ class Lookout:
         counted, flying = np.asarray(~team.board.blind, dtype=np.bool_), team.airborne(now_ns)
         distance_m = min_distance_m(poses.pos_team_ned_m, counted, flying=flying)
         figures.min_distance_m = min(figures.min_distance_m, distance_m)
-        if isinstance(region, SafetySphere):
+        if region.by_distance:
             figures.min_clearance = figures.min_distance_m / region.radius_m
         else:
             clearance = min_clearance(poses.pos_team_ned_m, region, counted, flying=flying)

@@ -18,6 +18,7 @@ from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import Encoder, FrameSplitter, message_id
 from groundstation.mavlink.codec import Frame as WireFrame
+from groundstation.mission.plan.schema import FormStep
 from groundstation.mission.runner import Phase
 from sitl.autopilot import Autopilot
 from sitl.estimator import GPS
@@ -40,8 +41,8 @@ def _assert_flown(flight: Flight) -> None:
     spec = flight.plan.spec
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     assert flight.world.min_distance_airborne_m >= spec.avoidance.radius_m
-    step = spec.steps[0].form
-    assert step is not None
+    step = spec.steps[0]
+    assert isinstance(step, FormStep)
     # The emulator's GPS is half as bad as the one that r is widened for.
     assert flight.meter.formation_error_m <= step.tolerance_m + 3.0 * np.sqrt(2.0) * GPS.pos_sigma_m
     assert _landed_on_pads(flight)

@@ -19,6 +19,7 @@ from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Encoder, FrameSplitter, decode, message_id
 from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.schema import FormStep
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.replay import load_flight
 from sitl.autopilot import Autopilot
@@ -43,8 +44,8 @@ def _assert_completed(flight: Flight, tolerances: float) -> None:
     spec = flight.plan.spec
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     assert flight.world.min_distance_airborne_m >= spec.avoidance.radius_m
-    step = spec.steps[0].form
-    assert step is not None
+    step = spec.steps[0]
+    assert isinstance(step, FormStep)
     assert flight.meter.formation_error_m <= tolerances * step.tolerance_m + 3.0 * np.sqrt(2.0) * GPS.pos_sigma_m
     assert not flight.world.truth.armed.any()
 

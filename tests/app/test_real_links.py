@@ -25,6 +25,7 @@ from groundstation.core.errors import UserError
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.schema import FormStep
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import Manifest, manifest_path, write_manifest
 from groundstation.records.tlog import TlogWriter
@@ -255,8 +256,8 @@ def _assert_flown(plan: MissionPlan, flown: tuple[Runner, World, TruthMeter], lo
     runner, world, meter = flown
     assert (runner.outcome, runner.reason) == ("completed", "")
     assert world.min_distance_airborne_m >= plan.spec.avoidance.radius_m
-    step = plan.spec.steps[0].form
-    assert step is not None
+    step = plan.spec.steps[0]
+    assert isinstance(step, FormStep)
     assert meter.formation_error_m <= step.tolerance_m + plan.margin_m
     assert not world.truth.armed.any()
     result = verify_log(log)

@@ -27,7 +27,6 @@ from groundstation.app.verify import verify_log
 from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
-from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
@@ -141,7 +140,7 @@ class _Flown:
             (round(fault.at_s * _SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
         )
         self._min_m = self._min_obedient_m = self._min_clearance = math.inf
-        self._upright = not isinstance(self._plan.region, SafetySphere)
+        self._upright = not self._plan.region.by_distance
         self._pair_m = np.full((self._plan.size, self._plan.size), math.inf)
 
     def fly(self, log: Path | None) -> Row:

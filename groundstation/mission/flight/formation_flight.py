@@ -25,6 +25,7 @@ from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.steps import Now, StepFlight, step_flight
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.schema import FormStep
 from groundstation.mission.plan.stages import roles_for
 from groundstation.mission.roster import Roster
 from groundstation.mission.verdict import Figures
@@ -135,7 +136,7 @@ class FormationFlight:
             return "return"
         if another:
             self._give_roles(poses)
-        if step.form is not None:
+        if isinstance(step, FormStep):
             now.tell_formation("1")
             self._begin_place(poses)
         self._doing = step_flight(now, now_ns, step)

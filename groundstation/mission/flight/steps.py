@@ -108,7 +108,7 @@ class StepFlight:
     def _tolerance_m(self) -> float:
         """What the last ``form`` step asked for."""
         steps = self._flown.plan.spec.steps[: self._flown.number]
-        return next(item.form.tolerance_m for item in reversed(steps) if item.form is not None)
+        return next(item.tolerance_m for item in reversed(steps) if isinstance(item, FormStep))
 
     def _lost(self, doing: str, now: Now, steady_ns: int = SECOND_NS) -> str:
         """Why the formation counts as lost, empty while it does not."""
@@ -156,7 +156,7 @@ class Forming(StepFlight):
                 flown.tell(f"formed {flown.stage.formation.name} after {took_s:.2f} s")
             self._tell_size(now.poses)
             later = flown.plan.spec.steps[flown.number + 1 :]
-            flown.figures.converged = all(item.form is None for item in later)
+            flown.figures.converged = not any(isinstance(item, FormStep) for item in later)
             return StepTick(done=True)
         if not within and now.now_ns - self._since_ns >= step.timeout_s * SECOND_NS:
             whys = [] if now.upright else ["the team stands upside down (set upright_1_s or takeoff.stagger_m)"]
@@ -299,10 +299,10 @@ class Moving(StepFlight):
 
 def step_flight(flown: UnderWay, now_ns: int, step: Step) -> StepFlight:
     """The class that flies a step, at its beginning."""
-    if step.form is not None:
-        return Forming(flown, now_ns, step.form)
-    if step.hold is not None:
-        return Holding(flown, now_ns, step.hold)
-    if step.move is None:
-        raise ValueError("a step without a key")
-    return Moving(flown, now_ns, step.move)
+    match step:
+        case FormStep():
+            return Forming(flown, now_ns, step)
+        case HoldStep():
+            return Holding(flown, now_ns, step)
+        case MoveStep():
+            return Moving(flown, now_ns, step)

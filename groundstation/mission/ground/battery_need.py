@@ -63,25 +63,8 @@ def flight_time_s(plan: MissionPlan, failsafe: FailsafePlan) -> float:
     slow_m_s = min(speed_m_s, plan.profile.cruise_m_s)
     move_s = _DETOUR * way_m / slow_m_s + _SETTLE_S + 3.0 * plan.profile.lag_s
     total_s = height_m / min(speed_m_s, plan.profile.climb_m_s) + _SETTLE_S
-    for step in plan.spec.steps:
-        total_s += _step_s(step, move_s)
+    total_s += sum(step.longest_s(move_s) for step in plan.spec.steps)
     return total_s + move_s + height_m / _LANDING_M_S + _LANDED_S
-
-
-def _step_s(step: object, move_s: float) -> float:
-    """How long a step of any kind takes: as long as it says, at most as long as it may, else a move."""
-    total_s = 0.0
-    for name in getattr(type(step), "model_fields", {}):
-        value = getattr(step, name)
-        if value is None:
-            continue
-        seconds = getattr(value, "seconds", None)
-        limit_s = getattr(value, "timeout_s", None)
-        if isinstance(seconds, int | float):
-            total_s += float(seconds)
-        else:
-            total_s += min(move_s, float(limit_s)) if isinstance(limit_s, int | float) else move_s
-    return total_s
 
 
 def battery_needs(plan: MissionPlan, failsafe: FailsafePlan) -> tuple[BatteryNeed, ...]:

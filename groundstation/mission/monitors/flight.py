@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core.limits import Fence
-from groundstation.core.regions import SafetySphere
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
@@ -98,7 +97,7 @@ class Distance:
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
-        self._region, self._radius_m = plan.region, plan.spec.avoidance.radius_m
+        self._region = plan.region
         self._told_ns = round(plan.spec.limits.pose_lost_s * SECOND_NS)
         self._first, self._second = np.triu_indices(n, 1)
         self._lasting = Lasting(len(self._first), _BESIDE_S)
@@ -113,12 +112,8 @@ class Distance:
         for pair in self._lasting(near, sight.now_ns):
             ids = sight.fleet.sysid[[self._first[pair], self._second[pair]]]
             apart_m = float(np.linalg.norm(offsets[pair]))
-            what = f"vehicles {ids[0]} and {ids[1]}: {apart_m:.2f} m apart, "
-            if isinstance(self._region, SafetySphere):
-                what += f"minimum is {self._radius_m:g} m"
-            else:
-                what += f"{apart[pair]:.0%} of what their safety region asks for"
-            yield Finding(Reaction.ALL_HOME, what)
+            words = self._region.near_words(apart_m, float(apart[pair]))
+            yield Finding(Reaction.ALL_HOME, f"vehicles {ids[0]} and {ids[1]}: {words}")
 
 
 class LateTicks:

@@ -20,7 +20,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.files import is_file, read_yaml, validate
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
-from groundstation.core.regions import SafetyRegion, UprightRegion, build_region
+from groundstation.core.regions import SafetyRegion, build_region
 from groundstation.core.types import FloatArray
 from groundstation.core.wind import Airframe
 from groundstation.design.store import (
@@ -43,7 +43,7 @@ from groundstation.mission.plan.positioning import (
     margin_m,
 )
 from groundstation.mission.plan.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
-from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mission.plan.schema import FormStep, MissionSpec
 from groundstation.mission.plan.stages import Shape, Stage, check_clearance, check_shape, make_stages, plan_moves
 from groundstation.mission.plan.wind import WindLimit, check_wind, grown_by_m, gust_margin_m, room_for_wind, wind_limit
 
@@ -253,7 +253,7 @@ class MissionPlan:
     def record(self) -> dict[str, Any]:
         """The mission with everything resolved, as plain values, for the manifest beside the log."""
         values = self.spec.model_dump(mode="json", exclude={"formation", "gains"}, exclude_none=True)
-        own = {number for number, step in enumerate(self.spec.steps) if step.form is not None and step.form.own_shape}
+        own = {number for number, step in enumerate(self.spec.steps) if isinstance(step, FormStep) and step.own_shape}
         shapes = []
         for number in sorted(own):
             shape = self.stages[self.stage_of_step[number]].shape
@@ -302,8 +302,8 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
     first = shapes.read(spec.formation, spec.gains, spec.formation_scale)
     others = {}
     for number, step in enumerate(spec.steps):
-        form = step.form
-        if form is not None and form.own_shape:
+        if isinstance(step, FormStep) and step.own_shape:
+            form = step
             # Gains belong to points: those of the mission go with the mission's formation only.
             gains = form.gains if form.formation is not None or form.gains is not None else spec.gains
             size = form.formation_scale if form.formation is not None or form.formation_scale else spec.formation_scale
@@ -375,7 +375,7 @@ def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) 
             others[number] = _shape_from_record(item["formation"], npz, where, resized=True)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{source}: mission.shapes: {error}; the manifest is damaged") from error
-    wanted = {number for number, step in enumerate(spec.steps) if step.form is not None and step.form.own_shape}
+    wanted = {number for number, step in enumerate(spec.steps) if isinstance(step, FormStep) and step.own_shape}
     if wanted != set(others):
         raise UserError(f"{source}: mission.shapes: are for steps {sorted(others)}, expected {sorted(wanted)}")
     return build_plan(spec, first, source, others)
@@ -409,7 +409,7 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
         UserError: they do not fit each other.
     """
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
-    if spec.steps[0].form is None:
+    if not isinstance(spec.steps[0], FormStep):
         raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
     shapes = {"formation": first} | {f"steps[{number}].form": shape for number, shape in (others or {}).items()}
     profiles = known_profiles(spec, source)
@@ -650,8 +650,7 @@ def _region(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:
 
 def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:
     radius = spec.avoidance.radius_m
-    if isinstance(region, UprightRegion):
-        check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
+    check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
     for i, j in itertools.combinations(range(len(pads)), 2):
         distance = float(np.linalg.norm(pads[i] - pads[j]))
         if distance < radius:

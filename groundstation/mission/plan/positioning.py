@@ -14,9 +14,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from groundstation.core.errors import UserError
-from groundstation.core.regions import SafetyRegion, SafetySphere
+from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray
-from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mission.plan.schema import FormStep, MissionSpec
 
 POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
 """Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against
@@ -66,9 +66,9 @@ def check_tolerances(source: str, spec: MissionSpec, rate_1_s: float) -> None:
     """
     least_m = math.ceil(100.0 * tolerance_min_m(rate_1_s)) / 100.0
     for number, step in enumerate(spec.steps):
-        if step.form is not None and step.form.tolerance_m < least_m:
+        if isinstance(step, FormStep) and step.tolerance_m < least_m:
             raise UserError(
-                f"{source}: steps[{number}].form.tolerance_m: {step.form.tolerance_m:g} m, minimum is {least_m:g} m:"
+                f"{source}: steps[{number}].form.tolerance_m: {step.tolerance_m:g} m, minimum is {least_m:g} m:"
                 f" vehicles wander by GPS, and with the delay of these links (link_delay_s: {spec.link_delay_s:g}) that"
                 " is taken back slowly; widen the tolerance, or use quicker links"
             )
@@ -104,7 +104,7 @@ def check_radius(
     everywhere = [all_offsets(points) for points in (*places.values(), *(others or {}).values())]
     r = f"{source}: avoidance.radius_m: {region.radius_m:g} m"
     apart = f"move further apart, or use better positions than {positioning} (positioning, position_error_m)"
-    if not isinstance(region, SafetySphere):
+    if not region.by_distance:
         tiny = _shrunk(region)
         helps = min(tiny.room_m(offsets) for offsets in everywhere) > margin
         smaller = "lower radius_m or half_height_m, or move further apart"

@@ -5,9 +5,22 @@ Only shapes are judged here; ``plan`` judges what the values mean together.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    GetJsonSchemaHandler,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 
 def _no_boolean(value: Any) -> Any:
@@ -60,9 +73,46 @@ class TakeoffSpec(_Strict):
     timeout_s: Positive = 20.0
 
 
-class FormStep(_Strict):
+class StepSpec(_Strict):
+    """One step of a mission: in the file an item with one key, which says of what kind it is."""
+
+    kind: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _below_its_key(cls, value: object) -> object:
+        if isinstance(value, dict) and set(value) == {cls.kind}:
+            return {} if value[cls.kind] is None else value[cls.kind]
+        return value
+
+    @model_serializer(mode="wrap")
+    def _with_its_key(self, values: SerializerFunctionWrapHandler) -> dict[str, object]:
+        return {self.kind: values(self)}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """The item with its key, for editors."""
+        inner = handler(core)
+        return {
+            "type": "object",
+            "properties": {cls.kind: inner},
+            "required": [cls.kind],
+            "additionalProperties": False,
+        }
+
+    def longest_s(self, move_s: float) -> float:
+        """How long it takes at most, s.
+
+        Args:
+            move_s: what moving from one formation to another takes.
+        """
+        raise NotImplementedError
+
+
+class FormStep(StepSpec):
     """Form until every distance is within tolerance; what is not given is as at the top of the mission."""
 
+    kind: ClassVar[str] = "form"
     tolerance_m: Positive = 0.05
     timeout_s: Positive = 60.0
     formation: str | None = None
@@ -76,36 +126,55 @@ class FormStep(_Strict):
         """Whether it names points, size or gains of its own."""
         return not (self.formation is None and self.gains is None and self.formation_scale is None)
 
+    def longest_s(self, move_s: float) -> float:
+        """A move to the formation, and no longer than it may take."""
+        return min(move_s, self.timeout_s)
 
-class HoldStep(_Strict):
+
+class HoldStep(StepSpec):
     """Keep the formation."""
 
+    kind: ClassVar[str] = "hold"
     seconds: Positive = 5.0
 
+    def longest_s(self, move_s: float) -> float:
+        """As long as it says."""
+        return self.seconds
 
-class MoveStep(_Strict):
+
+class MoveStep(StepSpec):
     """Move, turn and scale the formation as one; without a duration as fast as half of the limits allow."""
 
+    kind: ClassVar[str] = "move"
     by_m: Point = (0.0, 0.0, 0.0)
     turn_deg: Annotated[Number, Field(ge=-3600, le=3600)] = 0.0
     scale: Annotated[Number, Field(ge=0.1, le=10)] = 1.0
     seconds: Positive | None = None
 
+    def longest_s(self, move_s: float) -> float:
+        """As long as it says, or what a move between formations takes."""
+        return move_s if self.seconds is None else self.seconds
 
-class Step(_Strict):
-    """One step: exactly one of its keys."""
 
-    form: FormStep | None = None
-    hold: HoldStep | None = None
-    move: MoveStep | None = None
+def _kind_of(value: object) -> str | None:
+    """The key of an item."""
+    if isinstance(value, StepSpec):
+        return value.kind
+    return str(next(iter(value))) if isinstance(value, dict) and len(value) == 1 else None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_key(cls, value: Any) -> Any:
-        if not isinstance(value, dict) or len(value) != 1:
-            raise ValueError("a step has exactly one key, for example `- hold: {seconds: 5}`")
-        (key,) = value
-        return {key: {} if value[key] is None else value[key]}
+
+def _one_key(value: object) -> object:
+    if _kind_of(value) is None:
+        raise ValueError("a step has exactly one key, for example `- hold: {seconds: 5}`")
+    return value
+
+
+Step = Annotated[
+    Annotated[FormStep, Tag("form")] | Annotated[HoldStep, Tag("hold")] | Annotated[MoveStep, Tag("move")],
+    Discriminator(_kind_of),
+    BeforeValidator(_one_key),
+]
+"""A new kind of step is a class here, and one in ``flight.steps``."""
 
 
 class LandSpec(_Strict):

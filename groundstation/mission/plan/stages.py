@@ -24,7 +24,7 @@ from groundstation.core.regions import SafetyRegion, UprightRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
 from groundstation.mission.plan.profiles import VehicleProfile
-from groundstation.mission.plan.schema import MissionSpec, MoveStep, ScaleSpec
+from groundstation.mission.plan.schema import FormStep, MissionSpec, MoveStep, ScaleSpec
 
 MOVE_SHARE = 0.5
 """Share of the speed and acceleration limits that a move may ask for; the rest is for keeping the formation."""
@@ -141,8 +141,8 @@ def make_stages(
     stages = [make_stage(spec, first, profile, lead_s, source=source)]
     of_step, current = [], 0
     for number, step in enumerate(spec.steps):
-        if step.form is not None:
-            form = step.form
+        if isinstance(step, FormStep):
+            form = step
             current = 0
             if number in others or form.scale is not None or form.assignment is not None:
                 current = len(stages)
@@ -181,12 +181,12 @@ def roles_for(stage: Stage, pos_enu_m: FloatArray) -> IntArray:
 
 
 def check_clearance(
-    region: UprightRegion, points_m: FloatArray, names: tuple[str, str], remedy: str, source: str
+    region: SafetyRegion, points_m: FloatArray, names: tuple[str, str], remedy: str, source: str
 ) -> None:
-    """Refuses points inside of each other's upright region.
+    """Refuses points inside of each other's upright region; where distance alone counts, that is judged elsewhere.
 
     Args:
-        region: with its half height.
+        region: the safety region.
         points_m: shape (n, 3).
         names: of the later and the earlier of two points, with a place for their number.
         remedy: what can be done, besides a smaller region.
@@ -195,6 +195,8 @@ def check_clearance(
     Raises:
         UserError: with the two points.
     """
+    if not isinstance(region, UprightRegion):
+        return
     for i, j in itertools.combinations(range(len(points_m)), 2):
         offset = points_m[j] - points_m[i]
         if region.clearance(offset) <= 1.0:
@@ -220,9 +222,8 @@ def check_shape(
             f"{source}: {at}vehicles: {len(spec.vehicles)} listed, formation {formation.name} has {formation.size}"
             " points; list one vehicle for each point"
         )
-    if isinstance(region, UprightRegion):
-        names = "formation.points[{}]", "points[{}]"
-        check_clearance(region, formation.points_enu_m, names, "scale the formation up", f"{source}: {at}".rstrip(": "))
+    names = "formation.points[{}]", "points[{}]"
+    check_clearance(region, formation.points_enu_m, names, "scale the formation up", f"{source}: {at}".rstrip(": "))
     radius = spec.avoidance.radius_m
     for i, j in itertools.combinations(range(formation.size), 2):
         distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
@@ -278,12 +279,12 @@ def plan_moves(
     for number, step in enumerate(spec.steps):
         stage = stages[stage_of_step[number]]
         points = stage.formation.points_enu_m - stage.formation.points_enu_m.mean(axis=0)
-        if step.form is not None:
+        if isinstance(step, FormStep):
             size = 1.0
             centre[2] = max(centre[2], floor_m - float(points[:, 2].min()))
-        elif step.move is not None:
+        elif isinstance(step, MoveStep):
             key = f"{source}: steps[{number}].move"
-            move = _timed(step.move, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
+            move = _timed(step, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
             moves[number] = move
             size *= move.scale
             radius = spec.avoidance.radius_m
@@ -292,7 +293,7 @@ def plan_moves(
                 least = min(least, region.room_m(all_offsets(size * points)))
                 if shortest <= radius:
                     raise UserError(
-                        f"{key}.scale: {step.move.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
+                        f"{key}.scale: {step.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
                         f" {radius:g} m (avoidance.radius_m); scale by more, or lower the radius"
                     )
                 check_radius(
@@ -314,8 +315,8 @@ def _places(spec: MissionSpec, stages: Sequence[Stage], stage_of_step: Sequence[
     size = 1.0
     for number, step in enumerate(spec.steps):
         stage = stages[stage_of_step[number]]
-        size = 1.0 if step.form is not None else size * (step.move.scale if step.move is not None else 1.0)
-        if stage.scale.kind != "free" or step.form is not None:
+        size = 1.0 if isinstance(step, FormStep) else size * (step.scale if isinstance(step, MoveStep) else 1.0)
+        if stage.scale.kind != "free" or isinstance(step, FormStep):
             places[f"steps[{number}]"] = size * stage.formation.points_enu_m
     return places
 
