@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # Some tests wait for real sockets and processes: one worker more than cores keeps the cores busy.
 PYTEST_WORKERS ?= 3
 
-.PHONY: install fly test docs fuzz clean
+.PHONY: install fly test docs refs fuzz clean
 
 install: $(STAMP)
 
@@ -37,6 +37,10 @@ test: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS)
+
+# Flies the reference flights again, keeps their logs and prints what has changed: on purpose only.
+refs: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m tests.reference
 
 # Pages that are drawn from the program; a test fails when they are not up to date.
 docs: $(STAMP)

@@ -1,0 +1,28 @@
+"""Logs of earlier flights, flown again: a setpoint, a command or a reason that changes by accident shows here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from groundstation.app.verify import verify_log
+from tests.reference import FLIGHTS, FOLDER, known_figures, unpack
+
+BYTES_MAX = 3_000_000
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_a_log_that_is_kept_is_flown_again_to_the_bit(name: str, tmp_path: Path) -> None:
+    result = verify_log(unpack(name, tmp_path))
+    assert (result.mismatches, result.complete) == (0, True), "changed on purpose? then `make refs`, and say so"
+    assert result.setpoints == known_figures()[name]["setpoints"] > 0
+
+
+def test_the_logs_show_what_they_are_kept_for_and_stay_small() -> None:
+    figures = known_figures()
+    assert figures.keys() == FLIGHTS.keys()
+    seen = {phase for item in figures.values() for phase in item["phases"].split()}
+    assert {"take-over", "arm", "takeoff", "form", "hold", "pause", "return", "land", "silent"} <= seen
+    assert {item["outcome"] for item in figures.values()} == {"completed", "aborted"}
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) <= BYTES_MAX

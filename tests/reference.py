@@ -1,0 +1,172 @@
+"""Short flights whose logs are kept in the repository: behaviour that changes by accident shows when they are replayed.
+
+``make refs`` flies them again, keeps the new logs and prints what has changed, in figures. Do that on purpose only, in
+the commit that changes the behaviour, and say there what the difference is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import lzma
+import math
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypedDict
+
+from groundstation.mission.runner import Phase
+from groundstation.records.manifest import manifest_path
+from sitl.world import World
+from tests.app.flights import Flight, after, four, pair
+
+FOLDER = Path(__file__).parent / "reference_logs"
+FIGURES = FOLDER / "figures.json"
+Orders = tuple[tuple[Callable[[Flight], bool], str], ...]
+
+
+class Figures(TypedDict):
+    """What a flight came to, for comparing."""
+
+    outcome: str
+    reason: str
+    phases: str
+    ticks: int
+    setpoints: int
+    min_distance_m: float | None
+    time_to_form_s: float | None
+
+
+def says(*lines: tuple[Callable[[Flight], bool], str]) -> Callable[[Flight], bool]:
+    """Says each line once, as soon as its moment has come and the ones before it were said."""
+    left = list(lines)
+
+    def look(flight: Flight) -> bool:
+        if left and left[0][0](flight):
+            flight.session.operator(left.pop(0)[1], flight.now_ns)
+        return False
+
+    return look
+
+
+def _completed(log: Path) -> Flight:
+    """Both autopilots, held by the operator for a moment on the way."""
+    orders = says((after(Phase.FORM, 0.5), "hold"), (after(Phase.PAUSE, 1.0), "resume"))
+    return Flight(pair("steps.1.hold.seconds=1"), log=log, interrupt_when=orders)
+
+
+def _goes_on(log: Path) -> Flight:
+    """Four, one of which is killed; the others go on without it."""
+    orders = says((after(Phase.HOLD, 0.2), "kill 4"))
+    return Flight(four("on_lost=continue_open", "steps.1.hold.seconds=0.5"), log=log, interrupt_when=orders)
+
+
+def _lands_here(log: Path) -> Flight:
+    """One lands where it is while the other comes back; then everybody lands."""
+    orders = says((after(Phase.HOLD), "hold"), (after(Phase.PAUSE, 0.5), "land 1"), (after(Phase.PAUSE, 1.0), "resume"))
+    return Flight(pair(), log=log, interrupt_when=orders)
+
+
+def _lands_all(log: Path) -> Flight:
+    return Flight(pair(), log=log, interrupt_when=says((after(Phase.TAKEOFF, 3.0), "land all")))
+
+
+def _broken_off(log: Path) -> Flight:
+    return Flight(pair(), log=log, interrupt_when=says((after(Phase.ARM, 0.5), "return")))
+
+
+def _silent(log: Path) -> Flight:
+    return Flight(
+        pair(), log=log, interrupt_when=says((after(Phase.FORM, 0.5), "silence"), (after(Phase.SILENT), "land all"))
+    )
+
+
+def _taken_over(log: Path) -> Flight:
+    """Left in the air by one ground station, brought home by another one."""
+    worlds: list[World] = []
+
+    class _Died(Exception):  # noqa: N818 - the end of a process, not an error
+        pass
+
+    def die(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.FORM:
+            worlds.append(flight.world)
+            raise _Died
+        return False
+
+    plan = pair("limits.hold_s=60")
+    with contextlib.suppress(_Died):
+        Flight(plan, interrupt_when=die)
+    return Flight(plan, world=worlds[0], take_over=True, log=log)
+
+
+FLIGHTS: dict[str, Callable[[Path], Flight]] = {
+    "completed": _completed,
+    "goes_on": _goes_on,
+    "lands_here": _lands_here,
+    "lands_all": _lands_all,
+    "broken_off": _broken_off,
+    "silent": _silent,
+    "taken_over": _taken_over,
+}
+
+
+def figures_of(flight: Flight) -> Figures:
+    """What a flight came to."""
+    runner = flight.runner
+
+    def known(value: float, digits: int) -> float | None:
+        return round(value, digits) if math.isfinite(value) else None
+
+    return Figures(
+        outcome=str(runner.outcome),
+        reason=runner.reason,
+        phases=" ".join(phase.value for phase in flight.phase_seen),
+        ticks=runner.figures.ticks,
+        setpoints=runner.setpoints_sent,
+        min_distance_m=known(flight.world.min_distance_airborne_m, 4),
+        time_to_form_s=known(runner.figures.time_to_form_s, 3),
+    )
+
+
+def known_figures() -> dict[str, Figures]:
+    """Figures of the logs that are kept."""
+    kept: dict[str, Figures] = json.loads(FIGURES.read_text(encoding="utf-8")) if FIGURES.is_file() else {}
+    return kept
+
+
+def unpack(name: str, folder: Path) -> Path:
+    """Puts a log that is kept, with its manifest, into a folder; returns its path."""
+    log = folder / f"{name}.tlog"
+    log.write_bytes(lzma.decompress((FOLDER / f"{name}.tlog.xz").read_bytes()))
+    manifest_path(log).write_bytes((FOLDER / manifest_path(log).name).read_bytes())
+    return log
+
+
+def renew() -> int:
+    """Flies all of them again and keeps the logs; returns how many differ from what was kept."""
+    FOLDER.mkdir(exist_ok=True)
+    before, after_all, differ = known_figures(), dict[str, Figures](), 0
+    for name, fly in FLIGHTS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / f"{name}.tlog"
+            after_all[name] = figures_of(fly(log))
+            packed = lzma.compress(log.read_bytes(), preset=9 | lzma.PRESET_EXTREME)
+            target = FOLDER / f"{name}.tlog.xz"
+            same = target.is_file() and target.read_bytes() == packed
+            target.write_bytes(packed)
+            (FOLDER / manifest_path(log).name).write_bytes(manifest_path(log).read_bytes())
+        differ += not same
+        sys.stdout.write(f"{name}: {'the same to the byte' if same else 'differs'}, {len(packed)} bytes\n")
+        was = before.get(name)
+        for key, value in after_all[name].items():
+            old = dict(was)[key] if was is not None else None
+            if old != value:
+                sys.stdout.write(f"    {key}: {old} -> {value}\n")
+    FIGURES.write_text(json.dumps(after_all, indent=2) + "\n", encoding="utf-8")
+    return differ
+
+
+if __name__ == "__main__":
+    renew()
