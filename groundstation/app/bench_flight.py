@@ -19,7 +19,7 @@ from groundstation.app.session import Session
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, decode, encode_batch
 from groundstation.mavlink.gate import Gate
 from groundstation.mavlink.station import Outgoing
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.runner import Runner
 from groundstation.records.tlog import TlogWriter
 from sitl.world import World

@@ -27,7 +27,7 @@ from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Encoder
 from groundstation.mavlink.gate import Gate
 from groundstation.mavlink.station import Outgoing
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.runner import Runner
 from groundstation.records.tlog import TlogWriter
 

@@ -19,7 +19,7 @@ import numpy as np
 from groundstation.app.killed_flight import KilledFlight, fly_and, kill
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 
 MISSION = "cube8.yaml"
 _WHOLE_FLIGHT_S = 28.0  # of that mission, from the first heartbeat to everybody being down

@@ -23,7 +23,7 @@ import numpy as np
 from groundstation.app.emulator import world_config
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.records.replay import load_flight
 from sitl.server import Server
 from sitl.world import World

@@ -17,7 +17,7 @@ from groundstation.app.opening import open_flight
 from groundstation.app.session import Session
 from groundstation.core.errors import CheckFailed, UserError
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, flagged, message_id
-from groundstation.mission.plan.plan import plan_from_record
+from groundstation.mission.plan.reading import plan_from_record
 from groundstation.mission.purpose import Purpose
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import Noise, Operator, Received, Sent, Tick

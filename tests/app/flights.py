@@ -11,7 +11,8 @@ from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
 from groundstation.app.signing import open_gate
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Note, Phase, Runner
 from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest

@@ -61,7 +61,7 @@ def test_what_comes_along_is_listed(monkeypatch: pytest.MonkeyPatch, capsys: pyt
 def test_a_folder_of_ones_own_loads_as_it_is(
     like: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from groundstation.mission.plan.plan import load_mission
+    from groundstation.mission.plan.reading import load_mission
 
     monkeypatch.chdir(tmp_path)
     code, out, _ = gs(["init", "mine", "--like", like, "--json"], monkeypatch, capsys)

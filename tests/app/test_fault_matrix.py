@@ -15,7 +15,8 @@ from groundstation.app.campaign.cases import Case
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.vary import Setting
 from groundstation.app.resources import packaged_configs
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 
 CONFIGS = packaged_configs()
 PADS = [[-0.7, -0.7, 0.0], [0.7, -0.7, 0.0], [-0.7, 0.7, 0.0], [0.7, 0.7, 0.0]]

@@ -23,7 +23,7 @@ from groundstation.design import store
 from groundstation.design.store import load_formation, load_gains
 from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Encoder
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.records.imports import read_crazyswarm
 from groundstation.records.manifest import Manifest, manifest_path, read_manifest
 from groundstation.records.notes import Kind, Noise

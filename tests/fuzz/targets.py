@@ -39,7 +39,7 @@ from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at
 from groundstation.mission.operator import parse_command
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.overrides import override_value
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.runner import Runner
 from groundstation.mission.verdict import Note

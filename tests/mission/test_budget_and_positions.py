@@ -14,9 +14,10 @@ from groundstation.core.damper import DamperParams
 from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import Encoder
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
-from groundstation.mission.plan.plan import MissionPlan, plan_from_record
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.positioning import POSITION_ERROR_M, margin_deviations, margin_m
 from groundstation.mission.plan.profiles import PROFILES
+from groundstation.mission.plan.reading import plan_from_record
 from tests.app.flights import CUBE8, cube8, mission, pair
 
 GPS_MARGIN_M = 3.0 * math.sqrt(2.0) * 0.24

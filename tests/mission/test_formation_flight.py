@@ -11,7 +11,7 @@ from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures
 

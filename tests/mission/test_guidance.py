@@ -11,7 +11,7 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core.control import task_for_roles
 from groundstation.mission.flight.guidance import Course, Guide
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 
 PLAN = load_mission(packaged_configs() / "missions" / "cube8.yaml")
 

@@ -13,7 +13,7 @@ from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.keeping import SPEED_SHARE, PlaceKeeper, heading_of
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures
 from tests.mission.test_formation_flight import Team

@@ -14,7 +14,7 @@ from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Landing
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
 
 SECOND_NS = 1_000_000_000

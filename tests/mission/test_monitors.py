@@ -18,7 +18,8 @@ from groundstation.mission.monitors.board import Board
 from groundstation.mission.monitors.findings import Findings, Lasting, Sight
 from groundstation.mission.monitors.flight import bounded_growth_m
 from groundstation.mission.monitors.positions import PoseJump
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
 
 SECOND_NS = 1_000_000_000
@@ -168,7 +169,7 @@ def test_a_single_absurd_report_is_never_steered_by_and_changes_nothing(
 ) -> None:
     scene = Scene()
     scene.run(0.1)
-    good, limit_m = scene.pos.copy(), scene.plan.pose_jump_m
+    good, limit_m = scene.pos.copy(), scene.plan.limits.pose_jump_m
     scene.pos = good.copy()
     scene.pos[vehicle] += jump
     scene.vel[vehicle, 0] = speed
@@ -426,7 +427,7 @@ def test_batteries_escalate_and_one_report_alone_is_not_believed(share: float, r
 
 
 def test_voltages_count_where_the_mission_gives_them() -> None:
-    assert Scene("limits.battery_land_v=3.0").plan.battery_land_v == 3.0
+    assert Scene("limits.battery_land_v=3.0").plan.limits.battery_land_v == 3.0
     scene = Scene("limits.battery_min_v=3.4")
     scene.fleet.battery_v[:] = 3.9
     scene.run(1.0, scene.status)
@@ -634,4 +635,4 @@ def test_radius_of_obstacles_can_be_set_and_left_out() -> None:
     scene.fleet.custom_mode[3] = LOITER
     scene.run(0.1)
     assert not scene.obstacle_m().any()
-    assert scene.plan.lost_radius_m == 0.0
+    assert scene.plan.limits.lost_radius_m == 0.0

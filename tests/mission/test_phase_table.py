@@ -12,7 +12,7 @@ from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.phase import AIRBORNE_PHASES, Phase
 from groundstation.mission.phases.state import Entry
 from groundstation.mission.phases.table import EVENT_OF_ORDER, REFUSED, TABLE, Afterwards, Answer, Event, page
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.team import Team
 
 PAGE = Path(__file__).parents[2] / "docs" / "phases.md"

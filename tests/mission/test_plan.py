@@ -10,7 +10,7 @@ import yaml
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
-from groundstation.mission.plan.plan import load_mission, plan_from_record
+from groundstation.mission.plan.reading import load_mission, plan_from_record
 
 CONFIGS = packaged_configs()
 CUBE8 = CONFIGS / "missions" / "cube8.yaml"

@@ -19,7 +19,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from groundstation.core.errors import UserError
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.runner import Runner
 from tests.design.random_teams import SHAPES, random_points
 

@@ -9,7 +9,7 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
-from groundstation.mission.plan.plan import load_mission, plan_from_record
+from groundstation.mission.plan.reading import load_mission, plan_from_record
 
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 SQUARES = "formation: ../formations/two_squares8_low.yaml, gains: ../gains/two_squares8_low.npz"

@@ -11,7 +11,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.regions import SafetyCylinder, SafetyEllipsoid, SafetySphere
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.plan.plan import plan_from_record
+from groundstation.mission.plan.reading import plan_from_record
 from tests.app.flights import cube8
 
 

@@ -9,7 +9,8 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 from tests.core.test_wind import Blown
 from tests.mission.test_monitors import Scene
 

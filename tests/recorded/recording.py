@@ -25,7 +25,8 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.monitors.board import Board
 from groundstation.mission.monitors.findings import Sight
-from groundstation.mission.plan.plan import MissionPlan, plan_from_record
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import plan_from_record
 from groundstation.records.manifest import Manifest, read_manifest
 from groundstation.records.notes import Event, Received, Record, Sent, Tick
 from groundstation.records.tlog import read_tlog

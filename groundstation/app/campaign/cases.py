@@ -23,7 +23,8 @@ from groundstation.core.files import read_yaml
 from groundstation.core.types import FloatArray
 from groundstation.design.store import load_formation
 from groundstation.mission.plan.overrides import override_value
-from groundstation.mission.plan.plan import MissionPlan, load_mission, plan_from_record
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission, plan_from_record
 
 _ROOM_M = 1.0  # between the starts and the fence
 _SPARE_M = 0.01  # starts are that much further apart than the mission itself demands of pads

@@ -17,7 +17,8 @@ from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
-from groundstation.mission.plan.plan import MissionPlan, plan_from_record
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import plan_from_record
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures
 

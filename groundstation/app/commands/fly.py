@@ -30,7 +30,8 @@ from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate
 from groundstation.app.steady_file import Disk
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
-from groundstation.mission.plan.plan import MissionPlan, load_mission, read_spec
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission, read_spec
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Runner
 from groundstation.records.manifest import (

@@ -20,7 +20,8 @@ from groundstation.core.errors import MissionFailed, UserError
 from groundstation.links.opening import open_link
 from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.keys import new_key
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 
 
 def signing(

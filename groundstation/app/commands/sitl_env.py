@@ -12,7 +12,7 @@ from groundstation.app.output import Output
 from groundstation.app.real_sitl import HOME, lines, starts
 from groundstation.app.resources import find_config
 from groundstation.core.errors import UserError
-from groundstation.mission.plan.plan import load_mission
+from groundstation.mission.plan.reading import load_mission
 
 
 def sitl_env(

@@ -116,7 +116,7 @@ def check_rows(
                 estimator=standing.estimator if heard else "",
                 position_age_s=_age_s(now_ns, int(pose_ns[i])),
                 off_pad_m=float(off_m[i]),
-                off_pad_limit_m=plan.pad_error_m,
+                off_pad_limit_m=plan.limits.pad_error_m,
                 positions_hz=rates_hz[i][0],
                 attitudes_hz=rates_hz[i][1],
                 asked_hz=plan.rates_of(i).pose_hz,

@@ -157,7 +157,7 @@ class Checks:
 
     def place_words(self, vehicle: int, pos_team_ned_m: FloatArray) -> str | None:
         """On whose pad a vehicle stands, where it is not its own."""
-        return pad_words(vehicle, self._ids, pos_team_ned_m, self._pads_ned_m, self._plan.pad_error_m)
+        return pad_words(vehicle, self._ids, pos_team_ned_m, self._pads_ned_m, self._plan.limits.pad_error_m)
 
     def standing(self, vehicle: int, now_ns: int) -> Standing:
         """What the checks come to, for a table."""

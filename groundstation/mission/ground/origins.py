@@ -93,7 +93,7 @@ class Origins:
 
     def compared(self) -> bool:
         """Whether everybody that uses GPS is where the mission says, by its global position."""
-        return bool((self._off_m[self._gps] <= self._plan.pad_error_m).all())
+        return bool((self._off_m[self._gps] <= self._plan.limits.pad_error_m).all())
 
     def in_doubt(self, vehicle: int, now_ns: int) -> bool:
         """Whether what a vehicle told of its origin of late does not agree with itself."""
@@ -138,10 +138,10 @@ class Origins:
         off_m = float(self._off_m[vehicle])
         if np.isnan(off_m):
             return "is to be given the team's origin, and has not told its global position (GLOBAL_POSITION_INT) yet"
-        if off_m > self._plan.pad_error_m:
+        if off_m > self._plan.limits.pad_error_m:
             return (
-                f"reports a global position {off_m:,.2f} m from its pad, limit {self._plan.pad_error_m:.3g} m; put it"
-                " on its pad, or correct pad_m or the anchor; it is not given the team's origin before"
+                f"reports a global position {off_m:,.2f} m from its pad, limit {self._plan.limits.pad_error_m:.3g} m;"
+                " put it on its pad, or correct pad_m or the anchor; it is not given the team's origin before"
             )
         if not self.compared():
             return "is given the team's origin when everybody is where the mission says"

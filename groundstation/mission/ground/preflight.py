@@ -500,15 +500,15 @@ class Preflight:
                 )
         if not self._frame.known(vehicle):
             return "its place in the team frame is not known yet: no global position of the first vehicle"
-        if drift_m > plan.frame_drift_m:
+        if drift_m > plan.limits.frame_drift_m:
             return (
-                f"its local and global positions are {drift_m:.2f} m apart, limit {plan.frame_drift_m:.2g} m; restart"
-                " its estimator"
+                f"its local and global positions are {drift_m:.2f} m apart, limit {plan.limits.frame_drift_m:.2g} m;"
+                " restart its estimator"
             )
-        if not off_m <= plan.pad_error_m:
+        if not off_m <= plan.limits.pad_error_m:
             elsewhere = self.checks.place_words(vehicle, positions)
             return (
-                f"reports a position {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m"
+                f"reports a position {off_m:.2f} m from its pad, limit {plan.limits.pad_error_m:.3g} m"
                 f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
             )
         return None

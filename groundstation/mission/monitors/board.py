@@ -124,7 +124,7 @@ class Board:
             _FIRST_SHARE * spec.avoidance.radius_m,
             spec.speed_limit_m_s,
             (now_ns - seen_ns) / SECOND_NS - spec.limits.pose_age_s,
-            self._plan.lost_radius_m,
+            self._plan.limits.lost_radius_m,
         )
         strays = self._following.strays & ~landing
         extra_m: FloatArray = np.where((unsteered | strays) & up, growing_m, 0.0)

@@ -48,7 +48,7 @@ class Following:
     def __init__(self, plan: MissionPlan, wind: Wind) -> None:
         n = plan.size
         self._wind = wind
-        self._limit_m_s = plan.tracking_m_s
+        self._limit_m_s = plan.limits.tracking_m_s
         self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
         self._model: FloatArray = np.zeros((n, 3))
         self._error: FloatArray = np.zeros((n, 3))

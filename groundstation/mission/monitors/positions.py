@@ -38,7 +38,7 @@ class PoseJump:
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
-        self._limit_m, self._accel_m_s2 = plan.pose_jump_m, plan.profile.acceleration_max_m_s2
+        self._limit_m, self._accel_m_s2 = plan.limits.pose_jump_m, plan.profile.acceleration_max_m_s2
         self._apart_m: FloatArray = np.zeros((n, 3))
         # Of the last report that was believed; a suspect one changes none of it, however absurd.
         self._pos: FloatArray = np.full((n, 3), np.nan)
@@ -181,7 +181,7 @@ class Frames:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Lands those whose frame has changed; a second vehicle under the same id brings everybody back."""
         fleet = sight.fleet
-        drifting = sight.drift_m > self._plan.frame_drift_m  # NaN is not
+        drifting = sight.drift_m > self._plan.limits.frame_drift_m  # NaN is not
         restarted, moved = fleet.restarts > self._restarts, fleet.origin_moved_ns > self._origins_ns
         for vehicle in self._wrong((restarted | moved | drifting) & ours & ~sight.excused, sight.now_ns):
             if restarted[vehicle]:
@@ -191,7 +191,7 @@ class Frames:
             else:
                 what = (
                     f"its local and global positions are {sight.drift_m[vehicle]:.2f} m apart, limit"
-                    f" {self._plan.frame_drift_m:.2g} m"
+                    f" {self._plan.limits.frame_drift_m:.2g} m"
                 )
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
         twins = {row: fleet.twin_behind_one_address(row, sight.now_ns) for row in range(len(fleet))}

@@ -68,9 +68,9 @@ class Battery:
     def __init__(self, plan: MissionPlan) -> None:
         limits = plan.spec.limits
         self._stages = [
-            _Stage(plan.size, Reaction.SAY, "warning below", plan.battery_warn, None),
+            _Stage(plan.size, Reaction.SAY, "warning below", plan.limits.battery_warn, None),
             _Stage(plan.size, Reaction.HOME, "minimum is", limits.battery_min, limits.battery_min_v),
-            _Stage(plan.size, Reaction.LAND, "lands below", plan.battery_land, plan.battery_land_v),
+            _Stage(plan.size, Reaction.LAND, "lands below", plan.limits.battery_land, plan.limits.battery_land_v),
         ]
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:

@@ -244,8 +244,10 @@ class TakeOver:
                 f"{name}: does not tell where it took off; that its frame begins where the mission says is taken on"
                 " trust"
             )
-        elif off_m > plan.pad_error_m:
-            return f"took off {off_m:.2f} m from its pad, limit {plan.pad_error_m:.3g} m; is pad_m or its id right?"
+        elif off_m > plan.limits.pad_error_m:
+            return (
+                f"took off {off_m:.2f} m from its pad, limit {plan.limits.pad_error_m:.3g} m; is pad_m or its id right?"
+            )
         outside_m = float(self._fence.outside_m(self._frame.poses(self._station.fleet, now_ns).pos_team_ned_m)[vehicle])
         if not outside_m <= _FENCE_TOLERANCE_M:
             return (

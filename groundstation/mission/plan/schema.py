@@ -191,7 +191,7 @@ class FenceSpec(_Strict):
     max_m: Point
 
 
-class LimitsSpec(_Strict):
+class _FlightLimits(_Strict):
     """Ages and times after which the ground station reacts; errors by the position source where not given."""
 
     pose_age_s: Positive = 0.5
@@ -208,6 +208,11 @@ class LimitsSpec(_Strict):
     tracking_m_s: Positive | None = None
     late_s: Positive = 1.0
     lost_radius_m: NotNegative | None = None
+
+
+class LimitsSpec(_FlightLimits):
+    """The same, and those of the batteries."""
+
     battery_min: Annotated[Number, Field(ge=0, lt=1)] = 0.2
     battery_warn: Annotated[Number, Field(ge=0, lt=1)] | None = None
     battery_land: Annotated[Number, Field(ge=0, lt=1)] | None = None
@@ -290,8 +295,8 @@ class ProfileSpec(_Strict):
     wind_gust_m_s: Annotated[Number, Field(ge=0, le=15)] | None = None
 
 
-class MissionSpec(_Strict):
-    """The whole file."""
+class _FormationKeys(_Strict):
+    """What is formed, and by which law."""
 
     name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     formation: str
@@ -307,6 +312,11 @@ class MissionSpec(_Strict):
     avoidance: AvoidanceSpec
     assignment: Literal["auto", "fixed"] = "auto"
     role_swaps: Literal["auto"] | bool = "auto"
+
+
+class _CourseKeys(_FormationKeys):
+    """What is done one after the other, within which limits."""
+
     min_altitude_m: NotNegative | None = None
     takeoff: TakeoffSpec = TakeoffSpec()
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
@@ -317,6 +327,11 @@ class MissionSpec(_Strict):
     wind: WindSpec = WindSpec()
     keep_place_1_s: Literal["auto"] | Annotated[Number, Field(ge=0, le=1)] = "auto"
     failsafe: FailsafeSpec = FailsafeSpec()
+
+
+class MissionSpec(_CourseKeys):
+    """The whole file."""
+
     positioning: Literal["mocap", "rtk", "gps"] | None = None
     position_error_m: Positive | None = None
     anchor: AnchorSpec | None = None

@@ -75,6 +75,53 @@ class Stage:
         return self.shape.formation
 
 
+@dataclass(frozen=True)
+class FormationPlan:
+    """The formations of a mission and its moves.
+
+    Attributes:
+        stages: the formations with their gains and laws, the one at the top of the mission first.
+        stage_of_step: stage under way in each step.
+        moves: ``move`` steps by their number.
+        room_m: what the formations leave between two safety regions at least, at any size they are given.
+    """
+
+    stages: tuple[Stage, ...]
+    stage_of_step: tuple[int, ...]
+    moves: Mapping[int, MovePlan]
+    room_m: float
+
+    @property
+    def formation(self) -> Formation:
+        """The formation at the top of the mission: points and sensing graph, ENU."""
+        return self.stages[0].formation
+
+    @property
+    def gains(self) -> Gains:
+        """Its gains."""
+        return self.stages[0].shape.gains
+
+    @property
+    def gains_npz(self) -> bytes:
+        """The gains file that they came from, for the record."""
+        return self.stages[0].shape.gains_npz
+
+    @property
+    def control_gain(self) -> float:
+        """What multiplies (14) for it: k."""
+        return self.stages[0].control_gain
+
+    @property
+    def scale(self) -> ScaleFunction:
+        """The map f of (14) for it."""
+        return self.stages[0].scale
+
+    @property
+    def upright_1_s(self) -> float:
+        """Weight of the term that keeps it right side up, see ``formation_control``."""
+        return self.stages[0].upright_1_s
+
+
 def make_stage(
     spec: MissionSpec,
     shape: Shape,

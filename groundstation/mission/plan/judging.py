@@ -1,0 +1,248 @@
+"""Judges the values of a mission together and puts the plan together; what is wrong is refused with its remedy."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+
+from groundstation.core.errors import UserError
+from groundstation.core.formation import Formation
+from groundstation.core.regions import SafetyRegion
+from groundstation.core.types import FloatArray
+from groundstation.core.wind import Airframe
+from groundstation.mavlink.addresses import parse_address
+from groundstation.mavlink.autopilots import AUTOPILOTS
+from groundstation.mission.plan.limits import resolve_limits
+from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links
+from groundstation.mission.plan.plan import MissionPlan, region_of
+from groundstation.mission.plan.positioning import (
+    POSITION_ERROR_M,
+    all_offsets,
+    check_radius,
+    check_tolerances,
+    margin_m,
+)
+from groundstation.mission.plan.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
+from groundstation.mission.plan.schema import FormStep, MissionSpec
+from groundstation.mission.plan.stages import Shape, check_clearance, check_shape, make_stages, plan_moves
+from groundstation.mission.plan.wind import check_wind, gust_margin_m, room_for_wind, wind_limit
+
+
+def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int, Shape] | None = None) -> MissionPlan:
+    """Puts a plan together from values that are valid each for itself, and judges them together.
+
+    Args:
+        spec: the mission.
+        first: the formation at its top.
+        source: the file's name, for messages.
+        others: formations of ``form`` steps that name their own, by number of the step.
+
+    Raises:
+        UserError: they do not fit each other.
+    """
+    pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
+    if not isinstance(spec.steps[0], FormStep):
+        raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
+    shapes = {"formation": first} | {f"steps[{number}].form": shape for number, shape in (others or {}).items()}
+    profiles = known_profiles(spec, source)
+    _check_vehicles(spec, first.formation, source, profiles)
+    vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)
+    profile = slowest(vehicle_profiles)
+    if spec.avoidance.activation_m < spec.avoidance.radius_m:
+        raise UserError(
+            f"{source}: avoidance.activation_m: {spec.avoidance.activation_m} m is less than avoidance.radius_m"
+            f" {spec.avoidance.radius_m} m; make it as large at least"
+        )
+    region = region_of(spec, profile)
+    _check_pads(spec, pads, region, source)
+    for key, shape in shapes.items():
+        check_shape(spec, shape.formation, region, floor_m=_floor(spec), source=source, key=key)
+    _check_takeoff(spec, pads, source)
+    links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
+    addresses = tuple(parse_address(link) for link in links)
+    check_signing(spec, addresses, source)
+    rates = fit_links(spec, addresses, source)
+    gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
+    positioning = spec.positioning or ("gps" if gps else "mocap")
+    position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
+    formations = {key: shape.formation.points_enu_m for key, shape in shapes.items()}
+    for key, shape in shapes.items():
+        of_all = {"pads": pads} if key == "formation" else {}
+        check_radius(
+            source if key == "formation" else f"{source}: {key}",
+            {f"formation {shape.formation.name}": shape.formation.points_enu_m} | of_all,
+            region=region,
+            position_error_m=position_error_m,
+            positioning=positioning,
+            others=formations | {"pads": pads},
+        )
+    # Positions are brought to the tick with their velocity; what was not yet said of it counts as delay, and so does
+    # the time until the next setpoint.
+    waits_s = max(1.0 / rate.setpoint_hz + 0.5 / rate.pose_hz for rate in rates) - 1.0 / spec.rate_hz - 0.5 / POSE_HZ
+    profile = replace(
+        profile,
+        delay_s=profile.delay_s + spec.link_delay_s + max(waits_s, 0.0),
+        position_error_m=position_error_m,
+    )
+    lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
+    if positioning == "gps":
+        check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
+    acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
+    stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s, source=source)
+    moves, room_m = plan_moves(
+        spec,
+        stages,
+        stage_of_step,
+        region=region,
+        pads_enu_m=pads,
+        floor_m=_floor(spec),
+        acceleration_limit_m_s2=min(acceleration_limit_m_s2, profile.acceleration_max_m_s2),
+        position_error_m=position_error_m,
+        positioning=positioning,
+        source=source,
+    )
+    room = room_for_wind(
+        spec,
+        pads,
+        margin_m=margin_m(position_error_m),
+        room_m=min(room_m, region.room_m(all_offsets(pads))),
+        lead_s=lead_s,
+    )
+    wind = wind_limit(spec, profile, room)
+    return MissionPlan(
+        spec=spec,
+        source=source,
+        stages=stages,
+        stage_of_step=stage_of_step,
+        moves=moves,
+        room_m=room_m,
+        vehicle_profiles=vehicle_profiles,
+        profile=profile,
+        lead_s=lead_s,
+        links=links,
+        addresses=addresses,
+        link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
+        rates=rates,
+        positioning=positioning,
+        margin_m=margin_m(position_error_m),
+        wind=wind,
+        gust_margin_m=gust_margin_m(spec, profile, wind),
+        autopilots=tuple(AUTOPILOTS[vehicle.autopilot] for vehicle in spec.vehicles),
+        pads_enu_m=pads,
+        min_altitude_m=_floor(spec),
+        acceleration_limit_m_s2=acceleration_limit_m_s2,
+        limits=resolve_limits(spec, margin_m=margin_m(position_error_m), positioning=positioning),
+    )
+
+
+def check_acceleration(plan: MissionPlan) -> None:
+    """Refuses setpoints that change faster than vehicles can follow, for which the damper takes them to be near.
+
+    Not for records: what was flown with an earlier version can still be replayed.
+
+    Raises:
+        UserError: with the profile's figure and the remedy.
+    """
+    limit, profile = plan.acceleration_limit_m_s2, plan.profile
+    if limit > profile.acceleration_max_m_s2:
+        raise UserError(
+            f"{plan.source}: acceleration_limit_m_s2: {limit:g} m/s^2, maximum is {profile.acceleration_max_m_s2:g}"
+            f" m/s^2, what the slowest vehicle reaches ({profile.name}): r is kept with vehicles that can follow their"
+            " setpoints; leave it out, or say in profiles what your vehicles reach (acceleration_max_m_s2)"
+        )
+
+
+def check_room_for_wind(plan: MissionPlan) -> None:
+    """Refuses a wind for which there is no room; not for records either."""
+    room = room_for_wind(
+        plan.spec, plan.pads_enu_m, margin_m=plan.margin_m, room_m=plan.room_with_pads_m, lead_s=plan.lead_s
+    )
+    check_wind(plan.source, plan.spec, plan.profile, plan.wind, room)
+
+
+def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
+    """The profiles that come along and those of the mission.
+
+    Raises:
+        UserError: one of the mission's is like none that is known.
+    """
+    profiles = dict(PROFILES)
+    for name, given in spec.profiles.items():
+        like = given.like or name
+        if like not in PROFILES:
+            raise UserError(
+                f"{source}: profiles.{name}.like: {like} is not known; name one of {', '.join(PROFILES)}, whose other"
+                " figures it has"
+            )
+        figures = given.model_dump(exclude={"like"}, exclude_none=True)
+        figures["settle_s"] = figures.pop("wind_settle_s", PROFILES[like].airframe.settle_s)
+        air = {field.name: figures.pop(field.name) for field in fields(Airframe) if field.name in figures}
+        airframe = replace(PROFILES[like].airframe, **air)
+        profiles[name] = replace(PROFILES[like], name=name, airframe=airframe, **figures)
+    return profiles
+
+
+def _check_vehicles(
+    spec: MissionSpec, formation: Formation, source: str, profiles: Mapping[str, VehicleProfile]
+) -> None:
+    vehicles = spec.vehicles
+    if len(vehicles) != formation.size:
+        raise UserError(
+            f"{source}: vehicles: {len(vehicles)} listed, formation {formation.name} has {formation.size} points;"
+            " list one vehicle for each point"
+        )
+    first_with: dict[int, int] = {}
+    for number, vehicle in enumerate(vehicles):
+        key = f"{source}: vehicles[{number}]"
+        if vehicle.id in first_with:
+            raise UserError(
+                f"{key}.id: {vehicle.id} is the id of vehicles[{first_with[vehicle.id]}] too; give each its own"
+            )
+        first_with[vehicle.id] = number
+        if vehicle.autopilot not in AUTOPILOTS:
+            raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
+        if vehicle.profile not in profiles:
+            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(profiles)}")
+        try:
+            parse_address(vehicle.link)
+        except UserError as error:
+            raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
+
+
+def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:
+    radius = spec.avoidance.radius_m
+    check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
+    for i, j in itertools.combinations(range(len(pads)), 2):
+        distance = float(np.linalg.norm(pads[i] - pads[j]))
+        if distance < radius:
+            raise UserError(
+                f"{source}: vehicles[{j}].pad_m: {distance:.3g} m from the pad of vehicles[{i}], minimum is"
+                f" {radius:g} m (avoidance.radius_m); move the pads apart or lower the radius"
+            )
+    for axis, (low, high) in enumerate(zip(spec.fence.min_m, spec.fence.max_m, strict=True)):
+        if low >= high:
+            raise UserError(f"{source}: fence.min_m[{axis}]: {low:g} m is not below fence.max_m[{axis}] {high:g} m")
+
+
+def _check_takeoff(spec: MissionSpec, pads: FloatArray, source: str) -> None:
+    low, high = np.array(spec.fence.min_m), np.array(spec.fence.max_m)
+    half_stagger_m = spec.takeoff.stagger_m / 2.0
+    if spec.takeoff.height_m - half_stagger_m < _floor(spec):
+        raise UserError(
+            f"{source}: takeoff.height_m: {spec.takeoff.height_m:g} m less half of takeoff.stagger_m"
+            f" {spec.takeoff.stagger_m:g} m is below min_altitude_m {_floor(spec):g} m; start higher or stagger less"
+        )
+    for number, pad in enumerate(pads):
+        over = pad + np.array([0.0, 0.0, spec.takeoff.height_m + half_stagger_m])
+        if np.any(pad < low) or np.any(over > high):
+            raise UserError(
+                f"{source}: vehicles[{number}].pad_m: {pad.tolist()} with the takeoff height of"
+                f" {spec.takeoff.height_m:g} m is not inside the fence {low.tolist()} to {high.tolist()}"
+            )
+
+
+def _floor(spec: MissionSpec) -> float:
+    return spec.min_altitude_m if spec.min_altitude_m is not None else 0.8 * spec.takeoff.height_m

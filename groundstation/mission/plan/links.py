@@ -1,0 +1,132 @@
+"""The links of a mission: which there are, who is behind each, what it carries, and whether it is signed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from groundstation.core.errors import UserError
+from groundstation.mavlink.addresses import LinkAddress
+from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
+from groundstation.mission.plan.schema import MissionSpec
+
+_POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
+POSE_HZ = 50.0
+"""Positions are asked for no more often than this."""
+
+
+@dataclass(frozen=True)
+class LinkPlan:
+    """The links of a mission, and what comes over them.
+
+    Attributes:
+        spec: the file's own values.
+        links: link addresses, each once.
+        addresses: the same, read.
+        link_of_vehicle: index into ``links`` per vehicle.
+        rates: of each link.
+    """
+
+    spec: MissionSpec
+    links: tuple[str, ...]
+    addresses: tuple[LinkAddress, ...]
+    link_of_vehicle: tuple[int, ...]
+    rates: tuple[LinkRates, ...]
+
+    @property
+    def stream_links(self) -> tuple[int, ...]:
+        """Links on which a frame may arrive in two pieces."""
+        return tuple(number for number, address in enumerate(self.addresses) if address.is_stream)
+
+    def rates_of(self, vehicle: int) -> LinkRates:
+        """Rates of a vehicle."""
+        return self.rates[self.link_of_vehicle[vehicle]]
+
+    def position_message(self, vehicle: int) -> str:
+        """Message type that a vehicle's positions come in."""
+        return _POSITION_MESSAGES[self.spec.vehicles[vehicle].position]
+
+    def key_file(self, link: int) -> str | None:
+        """File with the signing key of a link, as the mission names it; None for a link that is not signed."""
+        return key_file_of(self.spec, self.links[link])
+
+    @property
+    def signed_links(self) -> tuple[int, ...]:
+        """Links on which everything is signed."""
+        return tuple(link for link in range(len(self.links)) if self.key_file(link) is not None)
+
+    def link_id(self, link: int) -> int:
+        """Link id in our signatures on a link: as the mission says, or the link's number, counted on from its own."""
+        signing = self.spec.signing
+        own = signing.links.get(self.links[link]) if signing is not None else None
+        if own is not None and own.link_id is not None:
+            return own.link_id
+        return ((signing.link_id or 0) + link) % 256 if signing is not None else 0
+
+    def uses_gps(self, vehicle: int) -> bool:
+        """Whether a vehicle's place in the team frame comes from its place on earth."""
+        spec = self.spec.vehicles[vehicle]
+        return spec.position == "global" or spec.origin == "gps"
+
+
+def fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> tuple[LinkRates, ...]:
+    """Fits message rates to the links."""
+    for link in spec.link_bytes_per_s:
+        if link not in {address.url for address in addresses}:
+            raise UserError(
+                f"{source}: link_bytes_per_s: {link}: no vehicle uses this link; correct it or leave it out"
+            )
+    fitted = []
+    for address in addresses:
+        users = [vehicle for vehicle in spec.vehicles if vehicle.link == address.url]
+        limit = spec.link_bytes_per_s.get(address.url, address.bytes_per_s)
+        position = max((_POSITION_MESSAGES[vehicle.position] for vehicle in users), key=frame_bytes)
+        wanted_hz = min(spec.rate_hz, POSE_HZ)
+        try:
+            fitted.append(
+                fit_rates(
+                    address.url,
+                    len(users),
+                    limit,
+                    pose_hz=wanted_hz,
+                    setpoint_hz=spec.rate_hz,
+                    position=position,
+                    cross_check=any(v.position == "local" and v.origin == "gps" for v in users),
+                    signed=key_file_of(spec, address.url) is not None,
+                )
+            )
+        except UserError as error:
+            raise UserError(f"{source}: {error}") from None
+    return tuple(fitted)
+
+
+def key_file_of(spec: MissionSpec, link: str) -> str | None:
+    """File with the signing key of a link, None for one that is not signed."""
+    if spec.signing is None:
+        return None
+    own = spec.signing.links.get(link)
+    return spec.signing.key_file if own is None else own.key_file
+
+
+def check_signing(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> None:
+    """Refuses signing that names no link, or no key.
+
+    Raises:
+        UserError: with key and remedy.
+    """
+    if spec.signing is None:
+        return
+    for link in spec.signing.links:
+        if link not in {address.url for address in addresses}:
+            raise UserError(f"{source}: signing.links: {link}: no vehicle uses this link; correct it or leave it out")
+    signed = [address for address in addresses if key_file_of(spec, address.url) is not None]
+    if not signed:
+        raise UserError(
+            f"{source}: signing.key_file: is missing, no link would be signed; name one, or leave signing out"
+        )
+    for address in signed:
+        if address.through_mavsdk:
+            raise UserError(
+                f"{source}: signing: {address.url}: MAVSDK sends setpoints by itself, which cannot be signed here; use"
+                f" {address.url.removeprefix('mavsdk://')}, or give the link key_file: null in signing.links"
+            )
