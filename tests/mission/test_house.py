@@ -12,9 +12,6 @@ ROOT = Path(groundstation.__file__).parent
 MISSION = ROOT / "mission"
 FIELDS_MAX, METHODS_MAX = 15, 20
 LINES_MAX, BYTES_MAX = 500, 24_000
-# Still to be taken apart; a name leaves this list and none is added.
-TOO_LARGE = {"flight/team_frame.py: TeamFrame", "ground/check_table.py: CheckRow", "ground/preflight.py: Preflight"}
-TOO_LONG = {"ground/preflight.py"}
 
 
 def _fields(node: ast.ClassDef) -> set[str]:
@@ -47,7 +44,7 @@ def test_no_class_of_the_mission_keeps_or_does_too_much() -> None:
         methods = sum(isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef) for item in node.body)
         if fields > FIELDS_MAX or methods > METHODS_MAX:
             large[name] = (fields, methods)
-    assert large.keys() <= TOO_LARGE, f"more than {FIELDS_MAX} fields or {METHODS_MAX} methods: {large}"
+    assert not large, f"more than {FIELDS_MAX} fields or {METHODS_MAX} methods: {large}"
 
 
 def test_no_file_of_the_mission_is_too_long() -> None:
@@ -56,7 +53,7 @@ def test_no_file_of_the_mission_is_too_long() -> None:
         text = path.read_text(encoding="utf-8")
         if text.count("\n") > LINES_MAX or len(text.encode()) > BYTES_MAX:
             long[str(path.relative_to(MISSION))] = (text.count("\n"), len(text.encode()))
-    assert long.keys() <= TOO_LONG, f"more than {LINES_MAX} lines or {BYTES_MAX} bytes: {long}"
+    assert not long, f"more than {LINES_MAX} lines or {BYTES_MAX} bytes: {long}"
 
 
 def _imports(path: Path, modules: set[str]) -> set[str]:

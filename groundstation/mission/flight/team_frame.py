@@ -16,117 +16,35 @@ import pymap3d
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mission.flight.placement import Placement
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
 
 _SECOND_NS = 1_000_000_000
-_SAME_ORIGIN_M = 0.05
-_LOOK_NS = 200_000_000
 _ATTITUDE_PERIODS = 4  # of a lean link's attitudes that may be missing
 _COMPARE_AGAIN_NS = 400_000_000  # two comparisons sooner after each other are one
 _TOGETHER_NS = 300_000_000  # no further than this is a position brought by its velocity for a comparison
-_NO_HEIGHT_M = 10_000.0  # no vehicle is so high: the earth bends that much
-_FAR_ORIGIN_M = 3_000.0  # local positions are coarse and bent so far from where they count from
 _COMPARED_NS = 10 * _SECOND_NS  # after this a comparison says nothing of now
 
 
-class TeamFrame:
-    """Where the vehicles' own frames lie in the team's.
+class TeamFrame(Placement):
+    """Where the vehicles' own frames lie in the team's, and where everybody is in it.
 
     Args:
         plan: pads, origins, anchor.
-
-    Attributes:
-        origin_team_ned_m: of each vehicle's local frame, shape (n, 3); NaN while not known, and where it needs none.
-        anchor_deg_m: place of the team frame's origin on earth: latitude, longitude, height; None while not known.
-        settled: held from now on.
-        hangs_on: the vehicle whose position places the frame on earth; None where the mission says where it is.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
-        spec = plan.spec
-        self._plan = plan
-        self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
+        super().__init__(plan)
         n = plan.size
-        self._global: BoolArray = np.array([vehicle.position == "global" for vehicle in spec.vehicles])
-        self._gps: BoolArray = np.array([plan.uses_gps(i) for i in range(n)])
-        self._by_origin: BoolArray = self._gps & ~self._global
-        self.origin_team_ned_m: FloatArray = np.full((n, 3), np.nan)
-        for i, vehicle in enumerate(spec.vehicles):
-            if vehicle.origin == "pad":
-                self.origin_team_ned_m[i] = self._pads_ned_m[i]
-            elif vehicle.origin == "team":
-                self.origin_team_ned_m[i] = 0.0
-            elif vehicle.origin_m is not None:
-                self.origin_team_ned_m[i] = frames.ned_from_enu(np.array(vehicle.origin_m))
-        self.origin_team_ned_m[self._by_origin] = np.nan
-        anchor = spec.anchor
-        self.anchor_deg_m: FloatArray | None = (
-            None if anchor is None else np.array([anchor.lat_deg, anchor.lon_deg, anchor.alt_m])
-        )
-        self._anchor_is_given = anchor is not None or not self._gps.any()
-        self.hangs_on = None if self._anchor_is_given else int(np.flatnonzero(self._gps)[0])
         self._shift_ned_m: FloatArray = np.zeros((n, 3))
-        self._derived_deg_m: FloatArray = np.full((n, 3), np.nan)
         self._nobody: BoolArray = np.zeros(n, dtype=np.bool_)
         self._compared_ns: IntArray = np.full((n, 2), NEVER, dtype=np.int64)
         self._apart_m: FloatArray = np.full((n, 2), np.nan)
-        self._next_look_ns = 0
         rates = [plan.rates_of(i) for i in range(n)]
         self._attitude_late_ns: IntArray = np.array(
             [round(_ATTITUDE_PERIODS / rate.attitude_hz * _SECOND_NS) if rate.lean else 0 for rate in rates]
         )
-        self.settled = False
-
-    def look(self, fleet: Fleet, now_ns: int) -> None:
-        """Follows what the vehicles say of their origins, as long as nothing is settled."""
-        if self.settled or not self._gps.any() or now_ns < self._next_look_ns:
-            return
-        self._next_look_ns = now_ns + _LOOK_NS
-        if not self._anchor_is_given:
-            self._hang_on_first(fleet)
-        if self.anchor_deg_m is not None:
-            rows = np.flatnonzero(self._by_origin)
-            self.origin_team_ned_m[rows] = self._from_anchor(self._origins_deg_m(fleet)[rows])
-
-    def derive_origin(self, fleet: Fleet, vehicle: int) -> bool:
-        """Takes a vehicle's origin from its two positions, for one that stands and does not tell it.
-
-        Returns:
-            Whether both positions are known.
-        """
-        place = np.array(
-            pymap3d.ned2geodetic(*-fleet.pos_local_ned_m[vehicle], *fleet.place_deg_m[vehicle]), dtype=np.float64
-        )
-        if np.isfinite(place).all():
-            self._derived_deg_m[vehicle] = place
-        return bool(np.isfinite(place).all())
-
-    def _origins_deg_m(self, fleet: Fleet) -> FloatArray:
-        """Origins as told, and as derived where they are not told."""
-        return np.where(np.isfinite(fleet.origin_deg_m), fleet.origin_deg_m, self._derived_deg_m)
-
-    def far_from_origin(self, fleet: Fleet, vehicle: int) -> bool:
-        """Whether a vehicle's global position is kilometres from its own origin, which somebody has set wrong then."""
-        place, origin = fleet.place_deg_m[vehicle], fleet.origin_deg_m[vehicle]
-        if not (np.isfinite(place).all() and np.isfinite(origin).all()):
-            return False
-        return bool(np.linalg.norm(pymap3d.geodetic2ned(*place, *origin)) > _FAR_ORIGIN_M)
-
-    def hold_anchor(self) -> None:
-        """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
-        self._anchor_is_given = True
-
-    def has_common_origin(self, fleet: Fleet, vehicle: int) -> bool:
-        """Whether a vehicle's own origin is the anchor."""
-        away = self.origin_team_ned_m[vehicle]
-        return bool(np.isfinite(away).all() and np.linalg.norm(away) <= _SAME_ORIGIN_M)
-
-    def known(self, vehicle: int) -> bool:
-        """Whether a vehicle's reports can be placed in the team frame."""
-        if self._global[vehicle]:
-            return self.anchor_deg_m is not None
-        return bool(np.isfinite(self.origin_team_ned_m[vehicle]).all())
 
     def settle(self, fleet: Fleet, now_ns: int) -> None:
         """Holds everything from now on, with the vehicles standing on their pads.
@@ -148,22 +66,6 @@ class TeamFrame:
         self.settled = True
 
     # In the air: what the ground would have told, from where the vehicles took off
-
-    def look_in_flight(self, fleet: Fleet, now_ns: int) -> None:
-        """The same as ``look`` for vehicles that are in the air: their homes stand in for where they stand."""
-        if self.settled or not self._gps.any() or now_ns < self._next_look_ns:
-            return
-        self._next_look_ns = now_ns + _LOOK_NS
-        if not self._anchor_is_given:
-            told = np.flatnonzero(self._gps & np.isfinite(fleet.home_deg_m).all(axis=1))
-            if len(told):
-                first = int(told[0])
-                place = fleet.home_deg_m[first]
-                self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)
-                self._anchor_is_given = True
-        if self.anchor_deg_m is not None:
-            rows = np.flatnonzero(self._by_origin)
-            self.origin_team_ned_m[rows] = self._from_anchor(fleet.origin_deg_m[rows])
 
     def _homes_team_ned_m(self, fleet: Fleet) -> FloatArray:
         """Where the vehicles took off, as they tell it, shape (n, 3); NaN where they do not."""
@@ -268,21 +170,3 @@ class TeamFrame:
             age_s = np.clip((now_ns - fleet.place_ns[rows]) / _SECOND_NS, 0.0, limit_s)[:, None]
             position[rows] = self._from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
         return np.asarray(position)
-
-    def _from_anchor(self, places_deg_m: FloatArray) -> FloatArray:
-        """Places on earth in the team frame, shape (k, 3); NaN stays NaN."""
-        if self.anchor_deg_m is None:
-            return np.full_like(places_deg_m, np.nan)
-        north, east, down = pymap3d.geodetic2ned(*places_deg_m.T, *self.anchor_deg_m)
-        return np.stack([north, east, down], axis=-1)
-
-    def _hang_on_first(self, fleet: Fleet) -> None:
-        """Places the anchor so that the first vehicle that uses GPS stands on its pad."""
-        first = int(np.flatnonzero(self._gps)[0])
-        place = fleet.place_deg_m[first]
-        if not self._global[first]:
-            origin = self._origins_deg_m(fleet)[first]
-            if not self.far_from_origin(fleet, first):
-                place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *origin))
-        if np.isfinite(place).all():
-            self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)

@@ -17,8 +17,8 @@ _SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class CheckRow:
-    """One vehicle before arming; what is not known is None, "" or NaN.
+class Reported:
+    """What one vehicle is and says; what is not known is None, "" or NaN.
 
     Attributes:
         id: system id.
@@ -34,14 +34,6 @@ class CheckRow:
         positions_hz: counted.
         attitudes_hz: counted.
         asked_hz: of both.
-        round_trip_s: of TIMESYNC.
-        clock_s: how far off the times of its measurements may be.
-        battery: share that is left.
-        battery_need: share that the mission takes, reserve included.
-        failsafe: as planned, or how many of its parameters are not.
-        checked: every check of it came to an end; where the mission was refused before, nothing is known.
-        problems: why it is not ready.
-        notes: what else is worth a word.
     """
 
     id: int
@@ -57,6 +49,23 @@ class CheckRow:
     positions_hz: float
     attitudes_hz: float
     asked_hz: float
+
+
+@dataclass(frozen=True)
+class CheckRow(Reported):
+    """One vehicle before arming: what it says, and what that comes to.
+
+    Attributes:
+        round_trip_s: of TIMESYNC.
+        clock_s: how far off the times of its measurements may be.
+        battery: share that is left.
+        battery_need: share that the mission takes, reserve included.
+        failsafe: as planned, or how many of its parameters are not.
+        checked: every check of it came to an end; where the mission was refused before, nothing is known.
+        problems: why it is not ready.
+        notes: what else is worth a word.
+    """
+
     round_trip_s: float
     clock_s: float
     battery: float

@@ -7,7 +7,6 @@ again. Nothing here waits: the runner calls it once per tick and decides how lon
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -22,15 +21,12 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.check_table import CheckRow, check_rows
 from groundstation.mission.ground.checks import Checks
 from groundstation.mission.ground.origins import Origins
+from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 
 _SECOND_NS = 1_000_000_000
-_ENOUGH = 0.6  # of the rate asked for: what a lossy link leaves
-_RATE_MIN_HZ = 5.0
-_TRIES = 3
 _ASK_AGAIN_NS = 5 * _SECOND_NS
-_COUNT_NS = 2 * _SECOND_NS
 _REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * _SECOND_NS, 10 * _SECOND_NS
 _REASON_PATIENCE_NS = 3 * _SECOND_NS
 REASONS_NS = 12 * _SECOND_NS
@@ -44,19 +40,6 @@ _ROUND_TRIP_SPARE_S = 0.15
 _ROUND_TRIP_CALM = 0.25
 """Delay that the mission does not reckon with, as a share of the lag and delay that k is fitted to, above which people
 are told: cube8 formed at 0.35 of it and swung, never within its tolerance, at 0.5."""
-
-
-@dataclass
-class _Rates:
-    """How one vehicle's streams are coming on."""
-
-    asked_ns: int = NEVER
-    restarts: int = -1
-    window_ns: int = NEVER
-    at_start: tuple[int, int] = (0, 0)
-    hz: tuple[float, float] = (np.nan, np.nan)
-    tries: int = 0
-    good: bool = False
 
 
 @dataclass
@@ -74,6 +57,21 @@ class GroundState:
     notes: list[str] = field(default_factory=list)
 
 
+class _Reasons:
+    """When vehicles that cannot be armed were asked why.
+
+    Attributes:
+        asked_ns: the last time, shape (n,).
+        asks: how often, shape (n,).
+        unready_ns: since when they cannot be armed, shape (n,).
+    """
+
+    def __init__(self, n: int) -> None:
+        self.asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self.asks = np.zeros(n, dtype=np.int64)
+        self.unready_ns = np.full(n, NEVER, dtype=np.int64)
+
+
 class Preflight:
     """The way of n vehicles from the first heartbeat to being ready to arm.
 
@@ -82,23 +80,23 @@ class Preflight:
         station: what is asked goes out by it.
         frame: settled by the runner when all is well.
         look_only: set no parameters, whatever the mission says.
+
+    Attributes:
+        checks: what a safety officer looks at.
+        streams: what vehicles are asked to send.
     """
 
     def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame, *, look_only: bool = False) -> None:
         self._plan, self._station, self._frame = plan, station, frame
-        self._rates = [_Rates() for _ in range(plan.size)]
+        self.streams = Streams(plan, station)
         self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
-        self._reason_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
-        self._reason_asks = np.zeros(plan.size, dtype=np.int64)
-        self._unready_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._reasons = _Reasons(plan.size)
         self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._noted: set[str] = set()
         self._told_slow: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._armed_ns = NEVER
         self._checked = [False] * plan.size
-        self._bytes_ns, self._bytes_then = NEVER, Counter[int]()
-        self._bytes_s: dict[int, float] = {}
         self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
 
@@ -112,7 +110,7 @@ class Preflight:
         fleet, state = self._station.fleet, GroundState()
         self._frame.look(fleet, now_ns)
         self._origins.look(now_ns)
-        self._count_bytes(now_ns)
+        self.streams.count_bytes(now_ns)
         off_m = self._frame.off_pad_m(fleet, now_ns)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
@@ -136,8 +134,8 @@ class Preflight:
                 if fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
                     state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
                 else:  # it is there, and what its link cannot carry may be the very heartbeats
-                    self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]), every=True)
-                    state.waiting.append(f"{name}: {self._no_heartbeat(vehicle)}")
+                    self.streams.ask(vehicle, now_ns, int(pose_ns[vehicle]), every=True)
+                    state.waiting.append(f"{name}: {self.streams.no_heartbeat_words(vehicle)}")
                 continue
             autopilot = self._plan.autopilots[vehicle]
             if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
@@ -153,7 +151,7 @@ class Preflight:
                 if fleet.armed[vehicle]:
                     self._armed(vehicle, now_ns, state)
                 continue
-            self._ask_for_streams(vehicle, now_ns, int(pose_ns[vehicle]))
+            self.streams.ask(vehicle, now_ns, int(pose_ns[vehicle]))
             self._origins.ask(vehicle, now_ns)
             self.checks.ask(vehicle, now_ns)
             problem = (
@@ -172,7 +170,9 @@ class Preflight:
             self._checked[vehicle] = problem is None
             if problem is not None:
                 state.waiting.append(f"{name}: {problem}")
-            self._tell_slow(vehicle, state)
+            slow = self.streams.slow_words(vehicle)
+            if slow is not None:
+                state.notes.append(f"{name}: {slow}")
         (state.waiting if state.waiting else state.fatal).extend(held)
         state.notes += self.checks.team_notes()
         state.notes = [note for note in state.notes if note not in self._noted]
@@ -181,7 +181,7 @@ class Preflight:
 
     def rows(self, problems: Sequence[str], now_ns: int) -> list[CheckRow]:
         """What was found, a row for each vehicle."""
-        rates_hz = [rates.hz for rates in self._rates]
+        rates_hz = [rates.hz for rates in self.streams.rates]
         return check_rows(
             self._plan,
             self._station,
@@ -201,8 +201,8 @@ class Preflight:
         if self._armed_ns == NEVER:
             self._armed_ns = now_ns
         landed = int(fleet.landed_state[vehicle])
-        if landed == 0 and now_ns - self._rates[vehicle].asked_ns >= _SECOND_NS:
-            self._request_streams(vehicle, now_ns)
+        if landed == 0 and now_ns - self.streams.rates[vehicle].asked_ns >= _SECOND_NS:
+            self.streams.request(vehicle, now_ns)
         if now_ns - self._armed_ns < _ARMED_PATIENCE_NS:
             state.waiting.append(f"{name}: is armed; whether it is in the air is being found out")
         elif landed == LANDED_ON_GROUND:
@@ -213,80 +213,6 @@ class Preflight:
             where = f"is in the air, in {mode}" if landed else f"is armed, in {mode}, and may be in the air"
             state.fatal.append(f"{name}: {where}; {HELP_IN_THE_AIR}")
 
-    # Streams
-
-    def wanted_hz(self, vehicle: int) -> dict[str, float]:
-        """Streams that a vehicle is asked for."""
-        plan = self._plan
-        rates = plan.rates_of(vehicle)
-        wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.attitude_hz}
-        wanted |= rates.status_hz()
-        if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
-            wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
-        return wanted
-
-    def _ask_for_streams(self, vehicle: int, now_ns: int, pose_ns: int, *, every: bool = False) -> None:
-        """Asks for the streams that are wanted, and counts them; ``every``: again until the vehicle is well heard."""
-        fleet, rates = self._station.fleet, self._rates[vehicle]
-        new = rates.restarts != fleet.restarts[vehicle]
-        silent = now_ns - max(NEVER if every else pose_ns, rates.asked_ns) > _ASK_AGAIN_NS
-        if new:
-            self._rates[vehicle] = rates = _Rates(restarts=int(fleet.restarts[vehicle]))
-        if new or silent:
-            self._request_streams(vehicle, now_ns, quiet=every)
-            return
-        if self._station.commands.pending(vehicle):
-            return
-        counted = self._counted(vehicle)
-        if rates.window_ns == NEVER:
-            rates.window_ns, rates.at_start = now_ns, counted
-            return
-        planned = self._plan.rates_of(vehicle)
-        asked_hz = (planned.pose_hz, planned.attitude_hz)
-        passed_ns = now_ns - rates.window_ns
-        if passed_ns < max(1.0, 8.0 / min(asked_hz)) * _SECOND_NS:
-            return
-        rates.hz = (
-            (counted[0] - rates.at_start[0]) * _SECOND_NS / passed_ns,
-            (counted[1] - rates.at_start[1]) * _SECOND_NS / passed_ns,
-        )
-        as_asked = all(hz >= _ENOUGH * asked for hz, asked in zip(rates.hz, asked_hz, strict=True))
-        rates.good = as_asked or (
-            rates.tries >= _TRIES
-            and not planned.lean
-            and all(hz >= max(_RATE_MIN_HZ, 0.2 * asked) for hz, asked in zip(rates.hz, asked_hz, strict=True))
-        )
-        rates.window_ns, rates.at_start = now_ns, counted
-        if not rates.good and now_ns - rates.asked_ns >= _SECOND_NS:
-            rates.tries += 1
-            self._request_streams(vehicle, now_ns)
-
-    def _request_streams(self, vehicle: int, now_ns: int, *, quiet: bool = False) -> None:
-        """Asks for all streams; ``quiet``: nothing else may be sent, whatever is known of the link."""
-        rates, autopilot = self._rates[vehicle], self._plan.autopilots[vehicle]
-        rates.asked_ns, rates.window_ns = now_ns, NEVER
-        wanted = self.wanted_hz(vehicle)
-        if quiet or self._plan.rates_of(vehicle).limited:
-            for message in autopilot.chatter:
-                if message not in wanted:
-                    self._station.commands.request(vehicle, autopilot.silence(message))
-        for message, rate_hz in wanted.items():
-            self._station.commands.request(vehicle, autopilot.message_interval(message, rate_hz))
-
-    def _counted(self, vehicle: int) -> tuple[int, int]:
-        seen = self._station.fleet.seen
-        attitudes = max(int(seen[name][vehicle]) for name in ("ATTITUDE_QUATERNION", "ATTITUDE"))
-        return int(seen[self._plan.position_message(vehicle)][vehicle]), attitudes
-
-    def _tell_slow(self, vehicle: int, state: GroundState) -> None:
-        rates = self._rates[vehicle]
-        planned = self._plan.rates_of(vehicle)
-        if rates.good and not planned.lean and min(rates.hz) < _ENOUGH * planned.pose_hz:
-            state.notes.append(
-                f"vehicle {self._plan.spec.vehicles[vehicle].id}: sends {rates.hz[0]:.0f} positions and"
-                f" {rates.hz[1]:.0f} attitudes per second, {planned.pose_hz:.0f} were asked for; flying with that"
-            )
-
     def _tell_part(self, vehicle: int, now_ns: int, state: GroundState) -> None:
         """Tells of a companion, a camera or a ground station that speaks as if it were the autopilot."""
         part = self._station.fleet.senders.part(vehicle, now_ns)
@@ -296,32 +222,6 @@ class Preflight:
                 f" also what is no autopilot, {part.words}; its heartbeats count for nothing; give it a component of"
                 " its own"
             )
-
-    def _no_heartbeat(self, vehicle: int) -> str:
-        """Words for one of which everything arrives but heartbeats."""
-        plan, link = self._plan, self._plan.link_of_vehicle[vehicle]
-        seen = self._bytes_s.get(link)
-        limit_bytes_s = plan.rates_of(vehicle).limit_bytes_s
-        carries = f" of {limit_bytes_s:.0f}" if plan.rates_of(vehicle).limited else ""
-        return (
-            f"is heard on {plan.links[link]}, without a heartbeat: its link is overfull or drops them"
-            + (f" ({seen:.0f}{carries} bytes/s arrive)" if seen is not None else "")
-            + "; lower rates were asked for: lower also what it sends unasked (MAV_n_RATE, SRn_...), put fewer on the"
-            " link, or correct link_bytes_per_s"
-        )
-
-    def _count_bytes(self, now_ns: int) -> None:
-        """What arrives on each link, over the last seconds."""
-        passed_ns = now_ns - self._bytes_ns
-        if passed_ns < _COUNT_NS:
-            return
-        received = self._station.bytes_received
-        if self._bytes_ns != NEVER:
-            self._bytes_s = {
-                link: (received[link] - self._bytes_then[link]) * _SECOND_NS / passed_ns
-                for link in range(len(self._plan.links))
-            }
-        self._bytes_ns, self._bytes_then = now_ns, Counter(received)
 
     # What is not well yet: each returns a problem in words, or None
 
@@ -363,7 +263,7 @@ class Preflight:
         )
 
     def _heard(self, vehicle: int, now_ns: int, pose_ns: int) -> str | None:
-        fleet, limits, rates = self._station.fleet, self._plan.spec.limits, self._rates[vehicle]
+        fleet, limits, rates = self._station.fleet, self._plan.spec.limits, self.streams.rates[vehicle]
         if fleet.silent(now_ns, limits.heartbeat_age_s)[vehicle]:
             heard_s = _age_s(now_ns, int(fleet.heard_ns[vehicle]))
             return f"last heard {heard_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s; see to its link"
@@ -375,7 +275,7 @@ class Preflight:
         if pose_s > limits.pose_age_s:
             age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
             sends = "none" if pose_s == np.inf else "none any more"
-            yes = f"; it acknowledged the rates and sends {sends}" if self._said_yes(vehicle) else ""
+            yes = f"; it acknowledged the rates and sends {sends}" if self.streams.said_yes(vehicle) else ""
             return (
                 f"position and attitude: {age}, limit {limits.pose_age_s:g} s{yes}; check its estimator and the message"
                 " rates"
@@ -387,13 +287,9 @@ class Preflight:
             return (
                 f"sends {rates.hz[0]:.0f} positions and {rates.hz[1]:.0f} attitudes per second,"
                 f" {planned.pose_hz:.0f} and {planned.attitude_hz:.0f} were asked for"
-                f"{', and acknowledged' if self._said_yes(vehicle) else ''}; is the link too slow, or lossy?"
+                f"{', and acknowledged' if self.streams.said_yes(vehicle) else ''}; is the link too slow, or lossy?"
             )
         return None
-
-    def _said_yes(self, vehicle: int) -> bool:
-        """Whether it acknowledges what it is asked for; what it does is seen elsewhere."""
-        return self._rates[vehicle].tries > 1 and self._station.commands.answered[vehicle]
 
     def _readiness(self, vehicle: int, now_ns: int, said: Mapping[int, str]) -> str | None:
         fleet = self._station.fleet
@@ -401,29 +297,29 @@ class Preflight:
             self._leave_the_last_flight(vehicle, now_ns)
             self._ask_for_reason(vehicle, now_ns)
             return f"not ready to arm{self._reason(vehicle, now_ns, said.get(vehicle))}"
-        self._unready_ns[vehicle] = NEVER
+        self._reasons.unready_ns[vehicle] = NEVER
         if fleet.landed_state[vehicle] != LANDED_ON_GROUND:
             return f"does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
         return None
 
     def _ask_for_reason(self, vehicle: int, now_ns: int) -> None:
         """Has a vehicle that cannot be armed say why, now and then: most say it once, or never unasked."""
-        if self._unready_ns[vehicle] == NEVER:
-            self._unready_ns[vehicle] = now_ns
-        soon = now_ns - self._unready_ns[vehicle] < _REASON_FIRST_NS
-        again = now_ns - self._reason_asked_ns[vehicle] < _REASON_AGAIN_NS
+        if self._reasons.unready_ns[vehicle] == NEVER:
+            self._reasons.unready_ns[vehicle] = now_ns
+        soon = now_ns - self._reasons.unready_ns[vehicle] < _REASON_FIRST_NS
+        again = now_ns - self._reasons.asked_ns[vehicle] < _REASON_AGAIN_NS
         if soon or again or self._station.commands.pending(vehicle):
             return
-        self._reason_asked_ns[vehicle] = now_ns
-        self._reason_asks[vehicle] += 1
+        self._reasons.asked_ns[vehicle] = now_ns
+        self._reasons.asks[vehicle] += 1
         self._station.commands.request(vehicle, self._plan.autopilots[vehicle].run_prearm_checks())
 
     def _reason(self, vehicle: int, now_ns: int, words: str | None) -> str:
         """Why a vehicle cannot be armed, in its own words; the end of a sentence."""
         if words:
             return f": {words}; its own checks have to pass"
-        asked = int(self._reason_asks[vehicle])
-        if not asked or (asked == 1 and now_ns - self._reason_asked_ns[vehicle] < _REASON_PATIENCE_NS):
+        asked = int(self._reasons.asks[vehicle])
+        if not asked or (asked == 1 and now_ns - self._reasons.asked_ns[vehicle] < _REASON_PATIENCE_NS):
             return ", and has not said why yet; its own checks have to pass"
         return (
             ", and gives no reason (it was asked); see what QGroundControl or Mission Planner show of its checks, or"

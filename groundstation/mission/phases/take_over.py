@@ -168,7 +168,7 @@ class TakeOver:
         silent = now_ns - told > _SECOND_NS or fleet.landed_state[vehicle] == 0
         if silent and now_ns - self._streams_asked_ns[vehicle] >= _STREAMS_AGAIN_NS:
             self._streams_asked_ns[vehicle] = now_ns
-            for message, rate_hz in self._preflight.wanted_hz(vehicle).items():
+            for message, rate_hz in self._preflight.streams.wanted_hz(vehicle).items():
                 commands.request(vehicle, autopilot.message_interval(message, rate_hz))
         if commands.pending(vehicle) or now_ns - self._frame_asked_ns[vehicle] < _ASK_AGAIN_NS:
             return
