@@ -17,6 +17,7 @@ from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster, by_command
+from groundstation.mission.timing import AskAgain
 
 _ASK_AGAIN_NS = 2_000_000_000
 _THERE = 0.85  # of the height: from here on setpoints do the rest
@@ -38,7 +39,7 @@ class Climb:
         self._landed_age_s = landed_age_s(plan)
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._by_command = by_command(plan)
-        self._asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._asking = AskAgain(plan.size, _ASK_AGAIN_NS)
         self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
     def step(
@@ -66,10 +67,10 @@ class Climb:
             elif (
                 stands[vehicle]
                 and not commands.pending(vehicle)
-                and now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS
+                and self._asking.due(vehicle, now_ns)
                 and bool(ahead[self._pads_above[vehicle]].all())
             ):
                 command = self._plan.autopilots[vehicle].takeoff(float(target_m[vehicle]))
                 if command is not None:
                     commands.request(vehicle, command)
-                    self._asked_ns[vehicle] = now_ns
+                    self._asking.asked(vehicle, now_ns)

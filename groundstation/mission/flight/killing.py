@@ -10,16 +10,16 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, IntArray
+from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue
-from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
+from groundstation.mission.timing import SECOND_NS, AskAgain
 
-_SECOND_NS = 1_000_000_000
-_ASK_AGAIN_NS = _SECOND_NS // 2
-_NEWER_NS = _SECOND_NS // 2  # a heartbeat that was under way when the order came shows nothing
-_FALLS_NS = 5 * _SECOND_NS  # so long after its motors have stopped a vehicle may still be falling
+_ASK_AGAIN_NS = SECOND_NS // 2
+_NEWER_NS = SECOND_NS // 2  # a heartbeat that was under way when the order came shows nothing
+_FALLS_NS = 5 * SECOND_NS  # so long after its motors have stopped a vehicle may still be falling
 
 
 class Killing:
@@ -27,7 +27,7 @@ class Killing:
 
     def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster) -> None:
         self._plan, self._fleet, self._commands, self._roster = plan, fleet, commands, roster
-        self._sent_ns: IntArray = np.full(plan.size, NEVER, dtype=np.int64)
+        self._asking = AskAgain(plan.size, _ASK_AGAIN_NS)
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
         """Puts the command before everything else that waits for a vehicle."""
@@ -36,13 +36,13 @@ class Killing:
         for vehicle in vehicles:
             self._commands.clear(vehicle)
             self._fleet.disarm_expected[vehicle] = True
-            self._sent_ns[vehicle] = NEVER
+            self._asking.at_once(vehicle)
 
     def step(self, now_ns: int) -> None:
         """Asks again, without end, as long as the vehicle has not shown that it is disarmed."""
-        for vehicle in np.flatnonzero(self.not_shown() & (now_ns - self._sent_ns >= _ASK_AGAIN_NS)).tolist():
+        for vehicle in np.flatnonzero(self.not_shown() & self._asking.all_due(now_ns)).tolist():
             self._commands.request(vehicle, self._plan.autopilots[vehicle].kill())
-            self._sent_ns[vehicle] = now_ns
+            self._asking.asked(vehicle, now_ns)
 
     def not_shown(self) -> BoolArray:
         """Vehicles that shall be dead and have not shown it yet, shape (n,)."""

@@ -24,11 +24,11 @@ from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
+from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
-_SECOND_NS = 1_000_000_000
-_ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
-_STILL_ARMED_NS = 5 * _SECOND_NS  # autopilots disarm by themselves two seconds after landing
-_BLOCKED_MAX_NS = 20 * _SECOND_NS
+_ASK_AGAIN_NS = SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
+_STILL_ARMED_NS = 5 * SECOND_NS  # autopilots disarm by themselves two seconds after landing
+_BLOCKED_MAX_NS = 20 * SECOND_NS
 _LOST_S = 10.0
 _OVER = 0.5  # over its own pad is who is within this share of r, horizontally
 
@@ -55,8 +55,8 @@ class Landing:
         self._fleet = fleet
         self._commands = commands
         self._landed_age_s = landed_age_s(plan)
-        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self._on_ground_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._asking = AskAgain(n, _ASK_AGAIN_NS)
+        self._on_ground = HeldEach(n)
         self._said_yes: set[tuple[int, str]] = set()
 
     def heard(self, outcome: Outcome) -> None:
@@ -92,17 +92,15 @@ class Landing:
         """
         fleet, roster = self._fleet, self._roster
         on_ground = fleet.stands(now_ns, self._landed_age_s)
-        self._on_ground_since_ns = np.where(
-            on_ground, np.where(self._on_ground_since_ns == NEVER, now_ns, self._on_ground_since_ns), NEVER
-        )
+        still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         for vehicle in np.flatnonzero(roster.lands & fleet.armed).tolist():
-            if self._commands.pending(vehicle) or now_ns - self._asked_ns[vehicle] < _ASK_AGAIN_NS:
+            if self._commands.pending(vehicle) or not self._asking.due(vehicle, now_ns):
                 continue
             autopilot = self._plan.autopilots[vehicle]
             if on_ground[vehicle]:
-                if now_ns - self._on_ground_since_ns[vehicle] >= _STILL_ARMED_NS:
+                if still_armed[vehicle]:
                     self._commands.request(vehicle, autopilot.disarm())
-                    self._asked_ns[vehicle] = now_ns
+                    self._asking.asked(vehicle, now_ns)
             elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
                 below = self._below(vehicle, poses)
                 # Whoever waits for one that waits itself has its time from when that one is asked.
@@ -110,7 +108,7 @@ class Landing:
                 if not below.any() or now_ns - since_ns >= _BLOCKED_MAX_NS:
                     self._commands.request(vehicle, autopilot.land())
                     roster.tell_to_land(vehicle, now_ns)
-                    self._asked_ns[vehicle] = now_ns
+                    self._asking.asked(vehicle, now_ns)
 
     def disarm_on_the_ground(self, now_ns: int) -> None:
         """Tells everybody who stands to disarm, armed or not; for an arming that is broken off before takeoff.
@@ -120,9 +118,9 @@ class Landing:
         and it disarms by itself.
         """
         for vehicle in np.flatnonzero(self._fleet.stands(now_ns, self._landed_age_s)).tolist():
-            if now_ns - self._asked_ns[vehicle] >= _ASK_AGAIN_NS and not self._commands.pending(vehicle):
+            if self._asking.due(vehicle, now_ns) and not self._commands.pending(vehicle):
                 self._commands.request(vehicle, self._plan.autopilots[vehicle].disarm())
-                self._asked_ns[vehicle] = now_ns
+                self._asking.asked(vehicle, now_ns)
 
     def lost(self, now_ns: int) -> BoolArray:
         """Vehicles of which nothing has been heard for ten seconds, shape (n,)."""
@@ -134,7 +132,8 @@ class Landing:
         Whether they are disarmed cannot be known; they are not waited for longer than this.
         """
         limit_s = self._plan.spec.limits.heartbeat_age_s
-        stood = (self._on_ground_since_ns != NEVER) & (now_ns - self._on_ground_since_ns >= 2 * _STILL_ARMED_NS)
+        since_ns = self._on_ground.since_ns
+        stood = (since_ns != NEVER) & (now_ns - since_ns >= 2 * _STILL_ARMED_NS)
         return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~self.lost(now_ns))
 
     def still_up(self, since_ns: int, now_ns: int) -> BoolArray:

@@ -19,12 +19,12 @@ from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.placement import Placement
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
-_SECOND_NS = 1_000_000_000
 _ATTITUDE_PERIODS = 4  # of a lean link's attitudes that may be missing
 _COMPARE_AGAIN_NS = 400_000_000  # two comparisons sooner after each other are one
 _TOGETHER_NS = 300_000_000  # no further than this is a position brought by its velocity for a comparison
-_COMPARED_NS = 10 * _SECOND_NS  # after this a comparison says nothing of now
+_COMPARED_NS = 10 * SECOND_NS  # after this a comparison says nothing of now
 
 
 class TeamFrame(Placement):
@@ -43,7 +43,7 @@ class TeamFrame(Placement):
         self._apart_m: FloatArray = np.full((n, 2), np.nan)
         rates = [plan.rates_of(i) for i in range(n)]
         self._attitude_late_ns: IntArray = np.array(
-            [round(_ATTITUDE_PERIODS / rate.attitude_hz * _SECOND_NS) if rate.lean else 0 for rate in rates]
+            [round(_ATTITUDE_PERIODS / rate.attitude_hz * SECOND_NS) if rate.lean else 0 for rate in rates]
         )
 
     def settle(self, fleet: Fleet, now_ns: int) -> None:
@@ -155,7 +155,7 @@ class TeamFrame(Placement):
             return
         rows = np.flatnonzero(news)
         local = self.origin_team_ned_m[rows] + fleet.pos_local_ned_m[rows]
-        local += fleet.vel_ned_m_s[rows] * (gap_ns[rows] / _SECOND_NS)[:, None]
+        local += fleet.vel_ned_m_s[rows] * (gap_ns[rows] / SECOND_NS)[:, None]
         apart = np.linalg.norm(local - self._from_anchor(fleet.place_deg_m[rows]), axis=1)
         self._apart_m[rows] = np.stack([apart, self._apart_m[rows, 0]], axis=1)
         self._compared_ns[rows] = np.stack([fleet.place_ns[rows], self._compared_ns[rows, 0]], axis=1)
@@ -163,10 +163,10 @@ class TeamFrame(Placement):
     def _reported(self, fleet: Fleet, now_ns: int) -> FloatArray:
         """Positions as reported, brought to an instant, shape (n, 3)."""
         limit_s = self._plan.spec.limits.pose_age_s
-        age_s = np.clip((now_ns - fleet.pose_ns) / _SECOND_NS, 0.0, limit_s)[:, None]
+        age_s = np.clip((now_ns - fleet.pose_ns) / SECOND_NS, 0.0, limit_s)[:, None]
         position = self.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s
         if self._global.any():
             rows = np.flatnonzero(self._global)
-            age_s = np.clip((now_ns - fleet.place_ns[rows]) / _SECOND_NS, 0.0, limit_s)[:, None]
+            age_s = np.clip((now_ns - fleet.place_ns[rows]) / SECOND_NS, 0.0, limit_s)[:, None]
             position[rows] = self._from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
         return np.asarray(position)

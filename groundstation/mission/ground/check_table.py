@@ -12,8 +12,7 @@ from groundstation.mavlink.vehicle import NEVER, UNKNOWN
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.checks import Checks
 from groundstation.mission.plan.plan import MissionPlan
-
-_SECOND_NS = 1_000_000_000
+from groundstation.mission.timing import SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -143,4 +142,4 @@ def check_rows(
 
 
 def _age_s(now_ns: int, then_ns: int) -> float:
-    return float(np.nan) if then_ns <= NEVER else max(now_ns - then_ns, 0) / _SECOND_NS
+    return float(np.nan) if then_ns <= NEVER else max(now_ns - then_ns, 0) / SECOND_NS

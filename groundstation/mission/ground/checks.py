@@ -19,11 +19,11 @@ from groundstation.mission.ground.failsafe import FailsafePlan, make_failsafe
 from groundstation.mission.ground.parameters import ParameterCheck
 from groundstation.mission.ground.standing import pad_words, too_near
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
-_SECOND_NS = 1_000_000_000
-_ASK_NS = 2 * _SECOND_NS
-_PATIENCE_NS = 8 * _SECOND_NS  # for what is only nice to know; asked for longer than that it is not
-_ESTIMATOR_OLD_NS = 3 * _SECOND_NS
+_ASK_NS = 2 * SECOND_NS
+_PATIENCE_NS = 8 * SECOND_NS  # for what is only nice to know; asked for longer than that it is not
+_ESTIMATOR_OLD_NS = 3 * SECOND_NS
 _AHRS = 0x200000  # MAV_SYS_STATUS_AHRS
 _RELEASES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: ""}  # FIRMWARE_VERSION_TYPE
 
@@ -104,9 +104,7 @@ class Checks:
     def _given_up(self, vehicle: int, now_ns: int) -> bool:
         """Whether a vehicle had time enough to tell what is only nice to know."""
         first_ns = int(self._first_ns[vehicle])
-        return first_ns != NEVER and now_ns - first_ns >= _PATIENCE_NS + round(
-            self._plan.spec.link_delay_s * _SECOND_NS
-        )
+        return first_ns != NEVER and now_ns - first_ns >= _PATIENCE_NS + round(self._plan.spec.link_delay_s * SECOND_NS)
 
     # What is wrong
 

@@ -15,15 +15,15 @@ from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS, AskAgain
 
-_SECOND_NS = 1_000_000_000
-_AGAIN_NS = 2 * _SECOND_NS
+_AGAIN_NS = 2 * SECOND_NS
 _TRIES = 5
 _ASKS = 5  # unanswered, then the origin is taken from the two positions
-_OLD_NS = 15 * _SECOND_NS  # narrow links tell a global position every few seconds
+_OLD_NS = 15 * SECOND_NS  # narrow links tell a global position every few seconds
 _FAR_M = 3_000.0
 """No team flies so far from where its frame begins, and local positions, single floats, are coarse there."""
-_FAR_NS = 2 * _SECOND_NS  # so long a place has to be far away before the mission is refused
+_FAR_NS = 2 * SECOND_NS  # so long a place has to be far away before the mission is refused
 
 
 class Origins:
@@ -39,7 +39,7 @@ class Origins:
         n = plan.size
         self._plan, self._station, self._frame = plan, station, frame
         self._gps: BoolArray = np.array([plan.uses_gps(vehicle) for vehicle in range(n)])
-        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._asking = AskAgain(n, _AGAIN_NS)
         self._asks = np.zeros(n, dtype=np.int64)
         self._given = np.zeros(n, dtype=np.int64)
         self._far_since_ns = np.full(n, NEVER, dtype=np.int64)
@@ -152,9 +152,9 @@ class Origins:
         plan, fleet = self._plan, self._station.fleet
         if not self._by_origin(vehicle):
             return
-        if now_ns - self._asked_ns[vehicle] < _AGAIN_NS or self._station.commands.pending(vehicle):
+        if not self._asking.due(vehicle, now_ns) or self._station.commands.pending(vehicle):
             return
-        self._asked_ns[vehicle] = now_ns
+        self._asking.asked(vehicle, now_ns)
         anchor, first = self._frame.anchor_deg_m, self._frame.hangs_on
         steady = first is None or not self.in_doubt(first, now_ns)
         told = bool(np.isfinite(fleet.origin_deg_m[vehicle]).all())

@@ -15,8 +15,8 @@ from groundstation.mavlink.station import Station
 from groundstation.mission.ground.failsafe import FailsafePlan
 from groundstation.mission.plan.budget import frame_bytes
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
-_SECOND_NS = 1_000_000_000
 _SPARE = 0.1  # of a link that these questions may use: the streams have the rest
 _TRIES = 2
 REMEDY, REMEDY_MANY = "`gs check --fix` sets it", "`gs check --fix` sets them"
@@ -59,8 +59,8 @@ class ParameterCheck:
             spacing_s = shared * frame_bytes("PARAM_VALUE") / (_SPARE * rates.limit_bytes_s)
             station.parameters.pace(
                 vehicle,
-                spacing_ns=round(spacing_s * _SECOND_NS),
-                delay_ns=round(plan.spec.link_delay_s * _SECOND_NS),
+                spacing_ns=round(spacing_s * SECOND_NS),
+                delay_ns=round(plan.spec.link_delay_s * SECOND_NS),
             )
 
     def step(self, vehicle: int) -> None:

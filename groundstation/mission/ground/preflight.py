@@ -24,18 +24,18 @@ from groundstation.mission.ground.origins import Origins
 from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
+from groundstation.mission.timing import SECOND_NS, AskAgain
 
-_SECOND_NS = 1_000_000_000
-_ASK_AGAIN_NS = 5 * _SECOND_NS
-_REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * _SECOND_NS, 10 * _SECOND_NS
-_REASON_PATIENCE_NS = 3 * _SECOND_NS
-REASONS_NS = 12 * _SECOND_NS
+_ASK_AGAIN_NS = 5 * SECOND_NS
+_REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * SECOND_NS, 10 * SECOND_NS
+_REASON_PATIENCE_NS = 3 * SECOND_NS
+REASONS_NS = 12 * SECOND_NS
 """Words older than this no longer tell why a vehicle cannot be armed, where newer ones are there."""
 _UNANSWERED = 2  # commands in a row, each sent four times: on a lossy link this is no chance
-_PROBE_AGAIN_NS = 2 * _SECOND_NS
+_PROBE_AGAIN_NS = 2 * SECOND_NS
 _SYNC_SAMPLES = 3
-_ARMED_PATIENCE_NS = 3 * _SECOND_NS  # heartbeats and landed states of the whole team
-_SYNC_PATIENCE_NS = 5 * _SECOND_NS
+_ARMED_PATIENCE_NS = 3 * SECOND_NS  # heartbeats and landed states of the whole team
+_SYNC_PATIENCE_NS = 5 * SECOND_NS
 _ROUND_TRIP_SPARE_S = 0.15
 _ROUND_TRIP_CALM = 0.25
 """Delay that the mission does not reckon with, as a share of the lag and delay that k is fitted to, above which people
@@ -89,7 +89,7 @@ class Preflight:
     def __init__(self, plan: MissionPlan, station: Station, frame: TeamFrame, *, look_only: bool = False) -> None:
         self._plan, self._station, self._frame = plan, station, frame
         self.streams = Streams(plan, station)
-        self._mode_asked_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._mode_asking = AskAgain(plan.size, _ASK_AGAIN_NS)
         self._reasons = _Reasons(plan.size)
         self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
         self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
@@ -201,7 +201,7 @@ class Preflight:
         if self._armed_ns == NEVER:
             self._armed_ns = now_ns
         landed = int(fleet.landed_state[vehicle])
-        if landed == 0 and now_ns - self.streams.rates[vehicle].asked_ns >= _SECOND_NS:
+        if landed == 0 and now_ns - self.streams.rates[vehicle].asked_ns >= SECOND_NS:
             self.streams.request(vehicle, now_ns)
         if now_ns - self._armed_ns < _ARMED_PATIENCE_NS:
             state.waiting.append(f"{name}: is armed; whether it is in the air is being found out")
@@ -330,8 +330,8 @@ class Preflight:
         """Asks a vehicle that stands in the mode of its last flight, in which it cannot be armed, to leave it."""
         autopilot, mode = self._plan.autopilots[vehicle], int(self._station.fleet.custom_mode[vehicle])
         stuck = autopilot.is_streaming_mode(mode) or autopilot.is_landing_mode(mode)
-        if stuck and now_ns - self._mode_asked_ns[vehicle] >= _ASK_AGAIN_NS:
-            self._mode_asked_ns[vehicle] = now_ns
+        if stuck and self._mode_asking.due(vehicle, now_ns):
+            self._mode_asking.asked(vehicle, now_ns)
             self._station.commands.request(vehicle, autopilot.idle_mode())
 
     def _clock(self, vehicle: int, now_ns: int, state: GroundState) -> str | None:
@@ -411,4 +411,4 @@ class Preflight:
 
 
 def _age_s(now_ns: int, then_ns: int) -> float:
-    return float("inf") if then_ns <= NEVER else (now_ns - then_ns) / _SECOND_NS
+    return float("inf") if then_ns <= NEVER else (now_ns - then_ns) / SECOND_NS

@@ -15,13 +15,14 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.contradictions import Contradictions
-from groundstation.mission.monitors.findings import SECOND_NS, Finding, Findings, Monitor, Reaction, Sight
+from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
+from groundstation.mission.timing import SECOND_NS
 
 _FIRST_SHARE = 0.25  # of r: how much larger an obstacle is at once
 _CONSEQUENCES = {

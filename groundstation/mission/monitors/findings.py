@@ -11,8 +11,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
-
-SECOND_NS = 1_000_000_000
+from groundstation.mission.timing import SECOND_NS
 
 
 class Reaction(Enum):

@@ -10,9 +10,10 @@ import numpy as np
 
 from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
 _BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
 _SMOOTH_S = 1.0

@@ -14,8 +14,9 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
 _FORGETS_S = 3.0
 _SUSPECT_S = 0.3

@@ -8,8 +8,9 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER
-from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
 _REPORTS_MISSED = 3.0  # on narrow links batteries are told so rarely that this is longer than the limit
 _BATTERY_LOST = 3.0  # times the limit after which the vehicle comes back

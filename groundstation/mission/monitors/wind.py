@@ -10,9 +10,10 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
-from groundstation.mission.monitors.findings import SECOND_NS, Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.wind import sway_s2
+from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.verdict import Figures
 
 _LASTS_S = 3.0

@@ -13,13 +13,13 @@ import numpy as np
 
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
-from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
-_SECOND_NS = 1_000_000_000
-_ASK_AGAIN_NS = _SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
-_WAITS_ARMED_NS = 4 * _SECOND_NS
+_ASK_AGAIN_NS = SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
+_WAITS_ARMED_NS = 4 * SECOND_NS
 
 
 class Arming:
@@ -35,8 +35,8 @@ class Arming:
         n = plan.size
         self._plan, self._fleet, self._commands = plan, fleet, commands
         self._landed_age_s = landed_age_s(plan)
-        self._asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self._armed_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._asking = AskAgain(n, _ASK_AGAIN_NS)
+        self._armed = HeldEach(n)
         self._reluctant: BoolArray = np.zeros(n, dtype=np.bool_)
         self._said_yes: dict[int, set[str]] = {}
         self._restarts = fleet.restarts.copy()
@@ -60,18 +60,16 @@ class Arming:
         ready = in_mode & fleet.armed
         if ready.all():
             return True
-        self._armed_since_ns = np.where(
-            fleet.armed, np.where(self._armed_since_ns == NEVER, now_ns, self._armed_since_ns), NEVER
-        )
+        waited_armed = self._armed(fleet.armed, now_ns, _WAITS_ARMED_NS)
         self._reluctant &= ~ready
         may_arm = bool(in_mode.all())
         stands = fleet.stands(now_ns, self._landed_age_s)
-        for vehicle in np.flatnonzero(now_ns - self._asked_ns >= _ASK_AGAIN_NS).tolist():
+        for vehicle in np.flatnonzero(self._asking.all_due(now_ns)).tolist():
             if self._commands.pending(vehicle):
                 continue
             autopilot = self._plan.autopilots[vehicle]
             if ready[vehicle]:
-                waits = self._reluctant.any() and now_ns - self._armed_since_ns[vehicle] >= _WAITS_ARMED_NS
+                waits = self._reluctant.any() and waited_armed[vehicle]
                 if not waits:
                     continue
                 if not stands[vehicle]:
@@ -83,7 +81,7 @@ class Arming:
                 self._commands.request(vehicle, autopilot.arm())
             else:
                 continue
-            self._asked_ns[vehicle] = now_ns
+            self._asking.asked(vehicle, now_ns)
         return False
 
     def started_anew(self) -> str | None:

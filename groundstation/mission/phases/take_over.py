@@ -29,19 +29,19 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
+from groundstation.mission.timing import SECOND_NS, AskAgain
 
-_SECOND_NS = 1_000_000_000
-LISTEN_NS = 5 * _SECOND_NS
+LISTEN_NS = 5 * SECOND_NS
 """Time to hear everybody's heartbeat, whatever the links lose."""
-_LISTEN_MAX_NS = 10 * _SECOND_NS
+_LISTEN_MAX_NS = 10 * SECOND_NS
 """So long those who stand safely wait for one that nobody has heard: it may just have lost its link."""
-_STREAM_FIRST_NS = _SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
-_ASK_AGAIN_NS = _SECOND_NS
-_STREAMS_AGAIN_NS = 3 * _SECOND_NS
-_STEADY_NS = _SECOND_NS
-_OLD_NEWS_NS = 3 * _SECOND_NS
-_PATIENCE_NS = 20 * _SECOND_NS
-_HOME_PATIENCE_NS = 6 * _SECOND_NS
+_STREAM_FIRST_NS = SECOND_NS  # PX4 wants about a second of setpoints before it takes OFFBOARD
+_ASK_AGAIN_NS = SECOND_NS
+_STREAMS_AGAIN_NS = 3 * SECOND_NS
+_STEADY_NS = SECOND_NS
+_OLD_NEWS_NS = 3 * SECOND_NS
+_PATIENCE_NS = 20 * SECOND_NS
+_HOME_PATIENCE_NS = 6 * SECOND_NS
 _FENCE_TOLERANCE_M = 1.0
 _OUT_OF_SIGHT_M = 1e5
 
@@ -98,9 +98,9 @@ class TakeOver:
         self._start_ns = start_ns
         self._taken_ns = np.full(n, NEVER, dtype=np.int64)
         self._held_since_ns = np.full(n, NEVER, dtype=np.int64)
-        self._mode_asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self._streams_asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self._frame_asked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._mode_asking = AskAgain(n, _ASK_AGAIN_NS)
+        self._streams_asking = AskAgain(n, _STREAMS_AGAIN_NS)
+        self._frame_asking = AskAgain(n, _ASK_AGAIN_NS)
         self._noted: set[str] = set()
         self._came_down: BoolArray = np.zeros(n, dtype=np.bool_)
         self._fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
@@ -142,7 +142,7 @@ class TakeOver:
                 (state.problems if late else state.waiting).append(f"{name}: {problem}")
                 continue
             waiting = self._hold(vehicle, now_ns) or self._place(vehicle, now_ns, float(off_m[vehicle]), state)
-            if waiting is None and now_ns - int(pose_ns[vehicle]) > self._plan.spec.limits.pose_age_s * _SECOND_NS:
+            if waiting is None and now_ns - int(pose_ns[vehicle]) > self._plan.spec.limits.pose_age_s * SECOND_NS:
                 waiting = "no position yet"
             if waiting is None:
                 state.home[vehicle] = True
@@ -165,14 +165,14 @@ class TakeOver:
         """Asks for streams, and for where the vehicle's frame lies."""
         fleet, autopilot, commands = self._station.fleet, self._plan.autopilots[vehicle], self._station.commands
         told = min(pose_ns, int(fleet.status_ns[vehicle]))
-        silent = now_ns - told > _SECOND_NS or fleet.landed_state[vehicle] == 0
-        if silent and now_ns - self._streams_asked_ns[vehicle] >= _STREAMS_AGAIN_NS:
-            self._streams_asked_ns[vehicle] = now_ns
+        silent = now_ns - told > SECOND_NS or fleet.landed_state[vehicle] == 0
+        if silent and self._streams_asking.due(vehicle, now_ns):
+            self._streams_asking.asked(vehicle, now_ns)
             for message, rate_hz in self._preflight.streams.wanted_hz(vehicle).items():
                 commands.request(vehicle, autopilot.message_interval(message, rate_hz))
-        if commands.pending(vehicle) or now_ns - self._frame_asked_ns[vehicle] < _ASK_AGAIN_NS:
+        if commands.pending(vehicle) or not self._frame_asking.due(vehicle, now_ns):
             return
-        self._frame_asked_ns[vehicle] = now_ns
+        self._frame_asking.asked(vehicle, now_ns)
         if np.isnan(fleet.home_deg_m[vehicle]).any() and np.isnan(fleet.home_local_ned_m[vehicle]).any():
             commands.request(vehicle, autopilot.once("HOME_POSITION"))
         elif np.isnan(fleet.origin_deg_m[vehicle]).any() and self._plan.uses_gps(vehicle):
@@ -187,7 +187,7 @@ class TakeOver:
         fleet, autopilot = self._station.fleet, self._plan.autopilots[vehicle]
         mode = int(fleet.custom_mode[vehicle])
         if now_ns - fleet.heartbeat_ns[vehicle] > _OLD_NEWS_NS:
-            return f"last heartbeat {(now_ns - int(fleet.heartbeat_ns[vehicle])) / _SECOND_NS:.1f} s ago"
+            return f"last heartbeat {(now_ns - int(fleet.heartbeat_ns[vehicle])) / SECOND_NS:.1f} s ago"
         if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
             return f"its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}; correct vehicles[{vehicle}].autopilot"
         kind = unflown_words(int(fleet.mav_type[vehicle]))
@@ -211,7 +211,7 @@ class TakeOver:
         if fleet.landed_state[vehicle] == 0:
             return "has not told whether it is in the air"
         if not self._roster.steered[vehicle]:
-            if now_ns - fleet.attitude_ns[vehicle] > self._plan.spec.limits.pose_age_s * _SECOND_NS:
+            if now_ns - fleet.attitude_ns[vehicle] > self._plan.spec.limits.pose_age_s * SECOND_NS:
                 return "no attitude yet"
             self._roster.take(vehicle)
             self._taken_ns[vehicle] = now_ns
@@ -224,11 +224,8 @@ class TakeOver:
             held = now_ns - self._held_since_ns[vehicle] >= _STEADY_NS
             return None if held and now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS else "is coming to a stand"
         self._held_since_ns[vehicle] = NEVER
-        if (
-            now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS
-            and now_ns - self._mode_asked_ns[vehicle] >= _ASK_AGAIN_NS
-        ):
-            self._mode_asked_ns[vehicle] = now_ns
+        if now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS and self._mode_asking.due(vehicle, now_ns):
+            self._mode_asking.asked(vehicle, now_ns)
             commands.request(vehicle, autopilot.streaming_mode())
         return f"in mode {autopilot.mode_name(mode)}, asked for {autopilot.streaming_mode().name}"
 

@@ -1,0 +1,146 @@
+"""Parts that whole flights reach too, each alone: a mistake in one fails here, in milliseconds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from groundstation.mavlink.commands import CommandQueue, Outcome
+from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, Fleet
+from groundstation.mission.flight.climb import Climb
+from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.killing import Killing
+from groundstation.mission.phases.arming import Arming
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Duty, Roster, enlist
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, vehicle_list
+from groundstation.mission.verdict import Note, Verdict
+from tests.app.flights import pair
+
+GUIDED = 4
+
+
+@pytest.fixture(scope="module")
+def plan() -> MissionPlan:
+    return pair(autopilots=("arducopter", "arducopter"))
+
+
+class Two:
+    """Two vehicles that stand and are well, what is asked of them, and what they are to do."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self.plan = plan
+        self.fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
+        self.fleet.landed_state[:] = LANDED_ON_GROUND
+        self.commands = CommandQueue(2)
+        self.roster: Roster = enlist(plan)
+        self.hear(0.0)
+
+    def hear(self, now_s: float) -> int:
+        """Everything arrives once more; returns the time in ns."""
+        now_ns = round(now_s * SECOND_NS)
+        for times in (self.fleet.heartbeat_ns, self.fleet.heard_ns, self.fleet.landed_ns):
+            times[:] = now_ns
+        return now_ns
+
+    def asked(self, now_ns: int) -> list[tuple[int, str]]:
+        """What goes out now; every command is taken at once, so that the next one may be asked."""
+        sent = [(item.vehicle, item.command.name) for item in self.commands.due(now_ns)]
+        for vehicle in (0, 1):
+            self.commands.clear(vehicle)
+        return sent
+
+
+def test_what_has_held_without_a_break_is_believed_and_a_break_counts_from_anew() -> None:
+    held, each = Held(), HeldEach(2)
+    for now, condition, expected in ((0, True, False), (9, True, False), (10, True, True), (11, False, False)):
+        assert held(condition, now, 10) == expected
+        assert each(np.array([condition, False]), now, 10).tolist() == [expected, False]
+    assert not held(True, 12, 10)
+    assert held.since_ns == 12
+    held.forget()
+    assert not held(True, 100, 10)
+
+
+def test_what_is_asked_again_now_and_then_is_asked_at_once_the_first_time() -> None:
+    asking = AskAgain(2, 10)
+    assert asking.due(0, 0)
+    asking.asked(0, 5)
+    assert [asking.due(0, 14), asking.due(0, 15)] == [False, True]
+    assert asking.all_due(14).tolist() == [False, True]
+    asking.at_once(0)
+    assert asking.due(0, 6)
+    assert vehicle_list([1, 3]) == "vehicle 1, vehicle 3"
+
+
+def test_a_verdict_adds_reasons_once_and_is_completed_only_when_nothing_was_said_against_it() -> None:
+    verdict = Verdict()
+    for reason in ("first", "second", "first"):
+        verdict.abort(reason)
+    verdict.complete()
+    assert (verdict.outcome, verdict.reason) == ("aborted", "first; second")
+    assert verdict.take_notes() == [Note("alarm", "aborted: first"), Note("alarm", "aborted: second")]
+    assert verdict.take_notes() == []
+    well = Verdict()
+    well.complete()
+    assert well.outcome == "completed"
+    refused = Verdict()
+    refused.refuse(["a", "b"])
+    refused.complete()
+    assert (refused.outcome, refused.reason, refused.problems) == ("refused", "a; b", ["a", "b"])
+
+
+def test_motors_are_stopped_again_and_again_until_a_newer_heartbeat_shows_it(plan: MissionPlan) -> None:
+    two = Two(plan)
+    two.fleet.armed[:] = True
+    killing = Killing(plan, two.fleet, two.commands, two.roster)
+    two.commands.request(1, plan.autopilots[1].land())
+    killing.want([1], 0)
+    assert two.roster.duty(1) is Duty.KILLED
+    sent = []
+    for k in range(11):
+        killing.step(k * SECOND_NS // 10)
+        sent += [(k, *item) for item in two.asked(k * SECOND_NS // 10)]
+    assert [(k, vehicle) for k, vehicle, _ in sent] == [(0, 1), (5, 1), (10, 1)]  # and never the landing
+    assert killing.falling(SECOND_NS).tolist() == [False, True]
+    two.fleet.armed[1] = False
+    assert killing.not_shown().tolist() == [False, True]  # that heartbeat may be older than the order
+    two.hear(2.0)
+    assert not killing.not_shown().any()
+    assert [bool(killing.falling(s * SECOND_NS)[1]) for s in (4, 6)] == [True, False]
+
+
+def test_a_climb_is_asked_of_one_that_stands_and_ends_at_its_height(plan: MissionPlan) -> None:
+    two = Two(plan)
+    two.fleet.armed[:] = True
+    climb = Climb(plan, two.roster, Guide(plan).beside_m)
+    height, target = np.zeros(2), np.full(2, 2.0)
+    climb.step(two.hear(0.1), two.fleet, two.commands, height, target)
+    assert two.asked(SECOND_NS // 10) == [(0, "takeoff"), (1, "takeoff")]
+    climb.step(two.hear(1.0), two.fleet, two.commands, height, target)
+    assert two.asked(SECOND_NS) == []
+    two.fleet.landed_state[0] = LANDED_IN_AIR
+    climb.step(two.hear(3.0), two.fleet, two.commands, np.array([1.9, 0.0]), target)
+    assert two.asked(3 * SECOND_NS) == [(1, "takeoff")]
+    assert two.roster.climbing.tolist() == [False, True]
+    assert two.roster.steered.tolist() == [True, False]
+
+
+def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_alone(plan: MissionPlan) -> None:
+    two = Two(plan)
+    arming = Arming(plan, two.fleet, two.commands)
+    assert not arming.step(two.hear(0.0))
+    assert {name for _, name in two.asked(0)} == {plan.autopilots[0].streaming_mode().name}
+    two.fleet.custom_mode[0] = GUIDED
+    assert not arming.step(two.hear(1.0))
+    assert two.asked(SECOND_NS) == [(1, plan.autopilots[1].streaming_mode().name)]
+    two.fleet.custom_mode[1] = GUIDED
+    assert not arming.step(two.hear(2.0))
+    assert two.asked(2 * SECOND_NS) == [(0, "arm"), (1, "arm")]
+    arming.heard(Outcome(1, plan.autopilots[1].arm(), 4))
+    assert not arming.step(two.hear(3.0))
+    assert two.asked(3 * SECOND_NS) == [(1, "arm")]
+    two.fleet.armed[:] = True
+    assert arming.step(two.hear(4.0))
+    two.fleet.restarts[1] += 1
+    assert arming.started_anew() == "vehicle 2: has started anew while the team was arming"
