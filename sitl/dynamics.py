@@ -49,6 +49,7 @@ class Dynamics:
         thrust_share: what is left of the motors' power, 1 when healthy, shape (n,).
         tumbling: a motor has failed: attitude control is lost, shape (n,) bool.
         crashed: has hit the ground tumbling and will not fly again, shape (n,) bool.
+        touchdown_m_s: largest speed with which each has come to the ground so far, shape (n,).
     """
 
     def __init__(
@@ -133,6 +134,7 @@ class Dynamics:
         self.thrust_share = np.ones(n)
         self.tumbling: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self.crashed: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+        self.touchdown_m_s = np.zeros(n)
         self.positions_used = False  # set by whoever writes pos_mask: the position loop is skipped until then
         self.yaw_used = False
         self._idle_settled = False
@@ -260,6 +262,9 @@ class Dynamics:
         pos, vel = self.pos_enu_m, self.vel_enu_m_s
         below = pos[2] <= self.ground_m + _CONTACT_M
         below &= vel[2] <= 0.0
+        landing = below & ~self.on_ground
+        if landing.any():
+            np.maximum(self.touchdown_m_s, np.linalg.norm(vel, axis=0), out=self.touchdown_m_s, where=landing)
         self.on_ground = below
         touching = self._any_on_ground = bool(below.any())
         self.all_on_ground = touching and bool(below.all())

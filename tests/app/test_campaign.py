@@ -258,6 +258,9 @@ def test_the_fault_matrix_is_complete() -> None:
 @pytest.mark.parametrize("path", sorted((CONFIGS / "campaigns").glob("*.yaml")), ids=lambda path: path.stem)
 def test_campaigns_that_come_along_make_a_plan_in_every_cell(path: Path) -> None:
     vary = load_vary(path)
+    if vary.spec.adversary is not None:  # it has missions of its own, see test_adversary.py
+        assert vary.spec.mission is None
+        return
     assert vary.spec.mission is not None
     cases = Cases(path.parent / vary.spec.mission, vary, 3)
     for run in range(0, len(vary.cells), max(len(vary.cells) // 20, 1)):
@@ -283,6 +286,8 @@ def test_campaigns_that_come_along_make_a_plan_in_every_cell(path: Path) -> None
         ("faults: {what: {kind: blackout, at_s: 3}, phase: form}", "at_s and vehicles are for timetable"),
         ("emulator: {link: {loss: yes}}", "emulator.link.loss"),
         ("runs: 0", "runs"),
+        ("adversary: {}\nset: {rate_hz: 20}", "an adversary draws its own missions"),
+        ("adversary: {vehicles: 1}", "adversary.vehicles"),
         ("set: {avoidance.radius_m: 0.9}", "avoidance.radius_m"),
         ("set: {speed_limit: 3}", "speed_limit"),
         ("team: {profile: zeppelin}", "zeppelin is not known"),
@@ -612,6 +617,15 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     bars = ExpectSpec(success_rate=0.5, below_r=0, safe_rate=0.9)
     assert missed(values, bars) == ["safe_rate is 0.5, expected 0.9 at least", "below_r is 1, expected 0 at most"]
     assert missed(figures([good]), bars) == []
+    words = {**good, "near_untold": 2, "pad_untold": 1, "disagreements": 3, "disagreed": "near_untold: 1 and 2\nmore"}
+    ours = {**good, "run": 1, "tracebacks": 2, "log_mismatches": 3}
+    values = summarise([good, words, ours], [""], lambda run: f"again {run}")
+    assert (values["disagreements"], values["tracebacks"], values["logs_wrong"]) == (1, 1, 1)
+    assert values["disagreed"] == {"near_untold": 1, "pad_untold": 1}
+    assert [item["run"] for item in values["worst"]] == [1, 0, 0]
+    assert why(words) == "near_untold: 1 and 2"
+    bars = ExpectSpec(disagreements=0, tracebacks=1, logs_wrong=0)
+    assert missed(values, bars) == ["disagreements is 1, expected 0 at most", "logs_wrong is 1, expected 0 at most"]
     struck = [{**good, "faults": "reboot", "fault_phase": phase, "told": True} for phase in ("form", "land", "land")]
     struck[2]["safe"] = False
     values = summarise(struck, [""], lambda run: f"again {run}")

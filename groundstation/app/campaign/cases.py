@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.app.campaign.vary import Setting, StartsSpec, Vary
+from groundstation.app.campaign.adversary import described, draw
+from groundstation.app.campaign.plot import Event
+from groundstation.app.campaign.vary import AdversarySpec, Cell, Setting, StartsSpec, Vary
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml
 from groundstation.core.types import FloatArray
@@ -46,6 +48,8 @@ class Case:
         setting: the rest of what varies.
         victim: index of the vehicle that a fault strikes.
         delay_s: how long after the phase was entered it strikes.
+        events: what an adversary does.
+        unread: why the mission could not be read, by a fault of ours; "" as a rule.
     """
 
     run: int
@@ -57,13 +61,18 @@ class Case:
     setting: Setting
     victim: int
     delay_s: float
+    events: tuple[Event, ...] = ()
+    unread: str = ""
 
     def plan(self) -> MissionPlan:
         """Puts the mission together.
 
         Raises:
             UserError: it does not fit together.
+            RuntimeError: reading it failed by a fault of ours.
         """
+        if self.unread:
+            raise RuntimeError(self.unread)
         return plan_from_record(self.mission, self.gains_npz, f"run {self.run}")
 
 
@@ -83,8 +92,9 @@ class Cases:
     def __init__(self, mission: Path, vary: Vary, seed: int, changes: tuple[str, ...] = ()) -> None:
         self._mission, self._vary, self._seed, self._changes = mission, vary, seed, changes
         self._teams: dict[str, _Team] = {}
-        for run in range(len(vary.cells)):
-            self.case(run).plan()
+        if vary.spec.adversary is None:
+            for run in range(len(vary.cells)):
+                self.case(run).plan()
 
     def case(self, run: int) -> Case:
         """Makes the case of one run."""
@@ -95,6 +105,8 @@ class Cases:
         faults = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(run // len(cells), run)))
         values, drawn = self._vary.drawn(cell, choice)
         setting = self._vary.setting(values)
+        if setting.adversary is not None:
+            return self._against(setting.adversary, run, cell, setting, seed=int(world.integers(2**31)))
         team = self._team(setting)
         return Case(
             run=run,
@@ -108,10 +120,32 @@ class Cases:
             delay_s=round(float(faults.random()) * setting.faults.within_s, 3),
         )
 
+    def _against(self, spec: AdversarySpec, run: int, cell: Cell, setting: Setting, *, seed: int) -> Case:
+        """The case of a run that an adversary draws."""
+        drawn = draw(spec, self._seed, run, self._changes)
+        values = {
+            **setting.model_dump(exclude_unset=True),
+            "emulator": {**cell.values.get("emulator", {}), **drawn.emulator},
+        }
+        return Case(
+            run=run,
+            cell=cell.name,
+            drawn=described(drawn),
+            seed=seed,
+            mission=drawn.mission,
+            gains_npz=drawn.gains_npz,
+            setting=self._vary.setting(values),
+            victim=0,
+            delay_s=0.0,
+            events=drawn.events,
+            unread=drawn.error,
+        )
+
     def fingerprint(self) -> str:
         """Hash of all that the cases follow from; a table may only be added to under the same one."""
         teams = [(key, team.plan.record(), team.plan.gains_npz.hex()) for key, team in sorted(self._teams.items())]
-        text = json.dumps([self._seed, [cell.values for cell in self._vary.cells], self._vary.spec.choose, teams])
+        cells = [cell.values for cell in self._vary.cells]
+        text = json.dumps([self._seed, cells, self._vary.spec.choose, teams, self._changes])
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _team(self, setting: Setting) -> _Team:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import tempfile
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,8 @@ import numpy as np
 
 from groundstation.app.campaign.cases import Case
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
+from groundstation.app.campaign.plot import Plot
+from groundstation.app.campaign.words import NOTHING_FOUND, TOUCHDOWN_MAX_M_S, Witness
 from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.opening import LogPlan, open_flight
@@ -27,7 +29,7 @@ from groundstation.app.verify import verify_log
 from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
-from groundstation.core.types import BoolArray
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import (
@@ -35,7 +37,7 @@ from groundstation.records.manifest import (
     versions,
     write_manifest,
 )
-from sitl.faults import FaultError
+from sitl.faults import Fault, FaultError
 from sitl.world import World, WorldConfig
 
 Row = dict[str, Any]
@@ -45,6 +47,7 @@ _GROUND = frozenset({Phase.CONNECT, Phase.ARM})
 _ON_PADS = frozenset({Phase.CONNECT, Phase.ARM, Phase.TAKEOFF, Phase.LAND, Phase.SILENT, Phase.DONE})
 _FAILSAFE_MODES = frozenset({"LAND", "RTL", "SMART_RTL"})
 _WORDS_MAX = 2_000
+_OWN_FAULT = "fault in the ground station"
 DISOBEDIENT = frozenset(
     {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift", "motor_failure", "reboot"}
 )
@@ -68,11 +71,12 @@ def fly_case(case: Case, log: Path | None = None) -> Row:
     row = _nothing_yet(case)
     try:
         row |= _Flown(case).fly(log)
-        if not row["faults"]:
+        if not row["faults"] and not row["events"] and case.setting.adversary is None:
             row["kinematic_time_to_form_s"] = kinematic_time_to_form_s(case)
     except UserError as error:
         row["error"] = str(error)
     except Exception as error:
+        row["tracebacks"] += 1
         place = traceback.extract_tb(error.__traceback__)[-1]
         row["error"] = f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
     return row
@@ -118,6 +122,9 @@ def _nothing_yet(case: Case) -> Row:
         "fault_at_s": nan,
         "log_mismatches": -1,
         "log_complete": False,
+        "events": "",
+        "tracebacks": 0,
+        **NOTHING_FOUND.columns(),
     }
 
 
@@ -136,12 +143,17 @@ class _Flown:
         self._struck_ns: int | None = None
         self._waiting = bool(faults.what)
         self._unsteered: BoolArray = np.zeros(self._plan.size, dtype=np.bool_)
+        self._struck: list[str] = []  # kinds
+        self._planned = [fault.kind for fault in (*faults.scheduled(), *faults.faults())]
         self._begun = sorted(
             (round(fault.at_s * _SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
         )
         self._min_m = self._min_obedient_m = self._min_clearance = math.inf
         self._upright = not self._plan.region.by_distance
         self._pair_m = np.full((self._plan.size, self._plan.size), math.inf)
+        self._witness = Witness(self._plan, self._world)
+        self._interrupts = Interrupts()
+        self._plot = Plot(self._plan, case.events, self._interrupts, strike=self._inject, kill=self._give_up_on)
 
     def fly(self, log: Path | None) -> Row:
         """Flies to the end, lets the world come to rest, and reads off what came of it."""
@@ -161,7 +173,7 @@ class _Flown:
                     self._world,
                     period_ns=round(_SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
-                    interrupts=Interrupts(),
+                    interrupts=self._interrupts,
                 )
             except _TooLongError:
                 late = True
@@ -179,18 +191,20 @@ class _Flown:
         for note in session.take_notes():
             if note.kind == "alarm":
                 self._alarms.append(f"{now_ns / _SECOND_NS:.2f} s: {note.text}")
+                self._witness.hear(now_ns, note.text)
         if runner.phase is not self._phase:
             self._phase = runner.phase
             self._phases.append(runner.phase.value)
             self._world.dynamics.posts_up = runner.phase in _ON_PADS  # nobody shall land on one while it flies
         if self._upright:
             self._take_clearance()
+        self._witness.look(now_ns, self._pairs_so_far)
+        self._plot.step(session, now_ns)
         if self._waiting:
             self._strike(runner.phase, now_ns)
         while self._begun and self._begun[0][0] <= now_ns:
             _, sysids, kind = self._begun.pop(0)
-            if kind in DISOBEDIENT:
-                self._give_up_on([i for i, v in enumerate(self._plan.spec.vehicles) if not sysids or v.id in sysids])
+            self._spoil(kind, self._rows(sysids))
         if now_ns >= self._case.setting.limit_s * _SECOND_NS:
             raise _TooLongError
 
@@ -208,15 +222,32 @@ class _Flown:
         self._struck_ns = now_ns
         victims = list(range(self._plan.size)) if faults.who == "all" else [self._case.victim]
         sysids = tuple(self._plan.spec.vehicles[i].id for i in victims)
-        kinds = faults.faults()
-        if any(fault.kind in DISOBEDIENT for fault in kinds):
-            self._give_up_on(victims)
-        self._world.inject(*(replace(fault, vehicles=sysids) for fault in kinds))
+        for fault in faults.faults():
+            self._inject(replace(fault, vehicles=sysids))
 
-    def _give_up_on(self, vehicles: list[int]) -> None:
+    def _inject(self, fault: Fault) -> None:
+        """Lets a fault strike now."""
+        self._spoil(fault.kind, self._rows(fault.vehicles))
+        self._struck.append(fault.kind)
+        self._world.inject(fault)
+
+    def _rows(self, sysids: Sequence[int]) -> list[int]:
+        return [row for row, vehicle in enumerate(self._plan.spec.vehicles) if not sysids or vehicle.id in sysids]
+
+    def _spoil(self, kind: str, vehicles: Sequence[int]) -> None:
+        self._witness.upset(vehicles)
+        if kind in DISOBEDIENT:
+            self._give_up_on(vehicles)
+
+    def _give_up_on(self, vehicles: Sequence[int]) -> None:
         """From now on these are not counted among those that have to keep their distance."""
         self._take_distances()
-        self._unsteered[vehicles] = True
+        self._witness.upset(vehicles)
+        self._unsteered[list(vehicles)] = True
+
+    def _pairs_so_far(self) -> FloatArray:
+        """Smallest distance of each pair up to now."""
+        return np.minimum(self._pair_m, self._world.min_distance_airborne_of_pairs_m())
 
     def _take_distances(self) -> None:
         pairs = self._world.min_distance_airborne_of_pairs_m()
@@ -236,10 +267,13 @@ class _Flown:
     def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:
         plan, figures, setting = self._plan, runner.figures, self._case.setting
         radius_m = plan.spec.avoidance.radius_m
+        self._witness.ended(self._world.now_ns)
         self._settle(round(setting.settle_s * _SECOND_NS))
         self._take_distances()
         states = [self._state(i) for i in range(plan.size)]
         ended_safely = not late and all(state in ("down", "crashed", "failsafe") for state in states)
+        fell = self._world.dynamics.crashed | (self._world.dynamics.touchdown_m_s > TOUCHDOWN_MAX_M_S)
+        unhurt = not bool((fell & ~self._unsteered).any())
         reason = f"not over after {setting.limit_s:g} s, in phase {runner.phase.value}" if late else runner.reason
         outcome = "late" if late else str(runner.outcome)
         if not self._upright:
@@ -252,12 +286,13 @@ class _Flown:
         pads = np.linalg.norm(plan.pads_enu_m[:, None] - plan.pads_enu_m[None], axis=-1)
         struck = self._struck_ns is not None
         faults = setting.faults
+        verdict = self._witness.verdict(outcome, reason, self._pair_m)
         return {
             "outcome": outcome,
             "reason": reason[:_WORDS_MAX],
             "success": formed and outcome == "completed" and clear_of_all and set(states) == {"down"},
             "formed": formed,
-            "safe": ended_safely and clear,
+            "safe": ended_safely and clear and unhurt,
             "time_to_form_s": float(figures.time_to_form_s),
             "formation_error_m": float(meter.formation_error_m),
             "min_distance_m": _finite(self._min_m),
@@ -275,11 +310,14 @@ class _Flown:
             "end": _counted(states),
             "ended_safely": ended_safely,
             "alarms": "\n".join(self._alarms)[:_WORDS_MAX],
-            "told": bool(self._alarms or reason),
-            "faults": " ".join(fault.kind for fault in (*faults.scheduled(), *faults.faults())),
+            "told": bool(self._alarms or reason) and not verdict.untold,
+            "faults": " ".join(self._struck if self._case.events else self._planned),
             "fault_phase": faults.phase or "",
             "fault_vehicle": plan.spec.vehicles[self._case.victim].id if struck and faults.who == "one" else 0,
             "fault_at_s": math.nan if self._struck_ns is None else self._struck_ns / _SECOND_NS,
+            "events": "\n".join(self._plot.happened),
+            "tracebacks": sum(_OWN_FAULT in alarm for alarm in self._alarms),
+            **verdict.columns(),
         }
 
     def _settle(self, most_ns: int) -> None:
@@ -309,6 +347,7 @@ def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
     """
     setting = case.setting
     emulator = setting.emulator
+    posts = setting.starts.kind == "volume" or (setting.adversary is not None and bool(plan.pads_enu_m[:, 2].any()))
     config = world_config(plan, case.seed)
     vehicles = tuple(
         replace(
@@ -323,7 +362,7 @@ def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
         vehicles=vehicles,
         wind=emulator.wind(),
         downwash=emulator.downwash,
-        floor_m=0.0 if setting.starts.kind == "volume" else None,
+        floor_m=0.0 if posts else None,
         faults=setting.faults.scheduled(),
     )
     link = emulator.link.config()

@@ -14,6 +14,7 @@ import numpy as np
 
 from groundstation.app.campaign.run import Row
 from groundstation.app.campaign.vary import ExpectSpec
+from groundstation.app.campaign.words import KINDS
 
 _WORST = 10
 _WHY_MAX = 300
@@ -66,6 +67,9 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "completed": sum(row["outcome"] == "completed" for row in rows),
         "ended_safely": sum(bool(row["ended_safely"]) for row in rows),
         "errors": sum(bool(row["error"]) for row in rows),
+        "tracebacks": sum(row["tracebacks"] > 0 for row in rows),
+        "disagreements": sum(row["disagreements"] > 0 for row in rows),
+        "disagreed": {kind: count for kind in KINDS if (count := sum(row[kind] > 0 for row in rows))},
         "gridlocks": sum(row["gridlocks"] for row in rows),
         "role_swaps": sum(row["role_swaps"] for row in rows),
         "detours": sum(row["detours"] for row in rows),
@@ -76,9 +80,9 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         values["untold"] = sum(row["outcome"] != "completed" and not row["told"] for row in struck)
         values["not_struck"] = sum(bool(row["fault_phase"]) and not math.isfinite(row["fault_at_s"]) for row in struck)
     verified = [row for row in rows if row["log_mismatches"] >= 0]
+    values["logs_wrong"] = sum(row["log_mismatches"] > 0 or not row["log_complete"] for row in verified)
     if verified:
         values["logs_verified"] = len(verified)
-        values["logs_wrong"] = sum(row["log_mismatches"] > 0 or not row["log_complete"] for row in verified)
     return values
 
 
@@ -125,8 +129,9 @@ def missed(values: dict[str, Any], expect: ExpectSpec) -> list[str]:
     words = []
     for key, bar in expect.model_dump(exclude_none=True).items():
         value = values[key]
-        if value > bar if key == "below_r" else not value >= bar:
-            words.append(f"{key} is {value:.4g}, expected {bar:g} at {'most' if key == 'below_r' else 'least'}")
+        rate = key.endswith("_rate")
+        if not value >= bar if rate else value > bar:
+            words.append(f"{key} is {value:.4g}, expected {bar:g} at {'least' if rate else 'most'}")
     return words
 
 
@@ -140,6 +145,8 @@ def why(row: Row) -> str:
         words.append(f"distance {row['min_distance_m']:.3f} m{pair}, r is {row['safety_radius_m']:g} m")
     elif below_r(row):
         words.append(f"two vehicles at {row['min_clearance']:.0%} of what their safety region asks for")
+    if row["disagreed"]:
+        words.append(row["disagreed"].split("\n")[0])
     if not row["error"] and not row["ended_safely"]:
         words.append(f"ended with {row['end']}")
     if row["outcome"] not in ("completed", "") or not row["formed"]:
@@ -155,7 +162,9 @@ def _badness(row: Row) -> tuple[Any, ...]:
     time_s = row["time_to_form_s"]
     return (
         not row["error"],
+        not row["tracebacks"],
         not below_r(row),
+        not row["disagreements"],
         bool(row["ended_safely"]),
         not clearance < 0.0,
         bool(row["formed"]) and row["outcome"] == "completed",

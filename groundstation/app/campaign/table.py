@@ -16,6 +16,7 @@ from typing import Any
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
+from groundstation.app.campaign.words import KINDS
 from groundstation.core.errors import UserError
 from groundstation.core.own_files import write_whole
 
@@ -59,6 +60,11 @@ SCHEMA = pa.schema(
         ("fault_at_s", _REAL),
         ("log_mismatches", _WHOLE),
         ("log_complete", _YES),
+        ("events", _TEXT),
+        ("tracebacks", _WHOLE),
+        *((kind, _WHOLE) for kind in KINDS),
+        ("disagreements", _WHOLE),
+        ("disagreed", _TEXT),
     ]
 )
 _TIMES = pa.schema([("run", _WHOLE), ("wall_s", _REAL)])

@@ -167,13 +167,30 @@ def _fault(values: Mapping[str, Any]) -> Fault:
         raise ValueError(str(error)) from None
 
 
+class AdversarySpec(_Strict):
+    """Missions, faults, orders and strangers at random: how many at most; shares flown outdoors, and in a wind."""
+
+    vehicles: Annotated[int, Field(ge=2, le=8)] = 8
+    faults: Annotated[int, Field(ge=0, le=10)] = 3
+    orders: Annotated[int, Field(ge=0, le=10)] = 3
+    strangers: Annotated[int, Field(ge=0, le=10)] = 2
+    outdoors: Probability = 0.25
+    wind: Probability = 0.4
+
+
+AtMost = Annotated[int, Field(ge=0)]
+
+
 class ExpectSpec(_Strict):
-    """Bars that the campaign is held to: exit code 1 when one is missed."""
+    """Bars that the campaign is held to: exit code 1 when one is missed. Rates at least, numbers of runs at most."""
 
     success_rate: Probability | None = None
     formed_rate: Probability | None = None
     safe_rate: Probability | None = None
-    below_r: Annotated[int, Field(ge=0)] | None = None
+    below_r: AtMost | None = None
+    disagreements: AtMost | None = None
+    tracebacks: AtMost | None = None
+    logs_wrong: AtMost | None = None
 
 
 class Setting(_Strict):
@@ -184,6 +201,7 @@ class Setting(_Strict):
     set: dict[str, Any] = {}
     emulator: EmulatorSpec = EmulatorSpec()
     faults: FaultsSpec = FaultsSpec()
+    adversary: AdversarySpec | None = None
     verify: bool = False
     limit_s: Positive = 600.0
     settle_s: NotNegative = 60.0
@@ -191,6 +209,14 @@ class Setting(_Strict):
 
 class VarySpec(Setting):
     """The whole file."""
+
+    @model_validator(mode="after")
+    def _one_source_of_missions(self) -> VarySpec:
+        if self.adversary is not None:
+            for key in ("mission", "starts", "team", "set", "faults"):
+                if key in self.model_fields_set:
+                    raise ValueError(f"{key}: an adversary draws its own missions, starts, teams and faults")
+        return self
 
     mission: str | None = None
     runs: Annotated[int, Field(ge=1)] | None = None

@@ -138,8 +138,12 @@ def campaign(
 
 
 def _mission(mission: Path | None, varied: Vary) -> Path:
+    if mission is not None and varied.spec.adversary is not None:
+        raise UserError(f"--mission: the adversary of {varied.source} draws its own missions; leave it out")
     if mission is not None:
         return find_config(mission, "missions")
+    if varied.spec.adversary is not None:
+        return Path(varied.source)
     if varied.spec.mission is None:
         raise UserError("--mission FILE is missing, and the vary file names none")
     beside = Path(varied.source).parent / varied.spec.mission

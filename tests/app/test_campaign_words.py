@@ -1,0 +1,149 @@
+"""The campaign's witness: what the ground station says, held against what the emulated vehicles really do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from groundstation.app.campaign.words import KINDS, Verdict, Witness
+from groundstation.app.emulator import world_config
+from sitl.world import World
+from tests.app.flights import four
+
+SECOND_NS = 1_000_000_000
+
+
+class Scene:
+    """Four vehicles on pads 1 m apart, r = 0.45 m, moved by hand; words come from the test."""
+
+    def __init__(self) -> None:
+        self.plan = four()
+        self.world = World(world_config(self.plan, 1), 1)
+        self.witness = Witness(self.plan, self.world)
+        self.run(0.1)
+
+    def run(self, seconds: float, vehicle: int = 0, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        dynamics = self.world.dynamics
+        dynamics.vel_sp_enu_m_s[:, vehicle] = velocity
+        for _ in range(round(seconds * 50)):
+            self.world.advance(self.world.now_ns + SECOND_NS // 50)
+            self.witness.look(self.world.now_ns, self.world.min_distance_airborne_of_pairs_m)
+
+    def lift(self, vehicle: int = 0) -> None:
+        self.world.dynamics.flying[vehicle] = True
+        self.run(2.5, vehicle, (0.0, 0.0, 0.5))
+
+    def say(self, text: str) -> None:
+        self.witness.hear(self.world.now_ns, text)
+
+    def verdict(self, outcome: str = "aborted", reason: str = "stopped by the operator") -> Verdict:
+        self.witness.ended(self.world.now_ns)
+        return self.witness.verdict(outcome, reason, self.world.min_distance_airborne_of_pairs_m())
+
+
+def _kinds(verdict: Verdict) -> set[str]:
+    return {kind for kind, _ in verdict.found}
+
+
+def test_a_flight_that_ends_as_it_is_told_agrees() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.run(6.0, 0, (0.0, 0.0, -0.5))
+    found = scene.verdict("completed", "")
+    assert found.found == ()
+    assert not found.untold
+    assert found.columns() == {**dict.fromkeys(KINDS, 0), "disagreements": 0, "disagreed": ""}
+
+
+@pytest.mark.parametrize(
+    ("said", "kinds"),
+    [
+        ("", {"crash_untold"}),
+        ("vehicle 2: is tilted by 69 degrees, limit 60 degrees", {"crash_untold"}),
+        ("vehicle 1: is tilted by 69 degrees, limit 60 degrees", set()),
+        ("vehicles 3, 1 too, see the alarms", set()),
+    ],
+)
+def test_a_crash_that_nobody_is_told_of(said: str, kinds: set[str]) -> None:
+    scene = Scene()
+    scene.lift()
+    scene.witness.upset(range(4))
+    scene.world.dynamics.tumbling[0] = True
+    scene.world.dynamics.flying[0] = False
+    scene.run(0.2)
+    scene.say(said)
+    scene.run(2.0)
+    assert scene.world.dynamics.touchdown_m_s[0] > 3.0
+    found = scene.verdict()
+    assert _kinds(found) - {"pad_untold"} == kinds
+    assert found.untold or not kinds
+
+
+def test_what_was_said_long_before_is_no_word_about_a_fall() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.say("vehicle 1: battery at 29%, warning below 30%")
+    scene.run(7.0)
+    scene.world.dynamics.flying[0] = False
+    scene.run(2.0)
+    found = scene.verdict("completed", "")
+    assert {"crash_untold", "completed_untrue"} <= _kinds(found)
+    assert "vehicle 1 hit the ground at" in str(found.columns()["disagreed"])
+
+
+def test_who_lands_on_one_that_stands_there_is_no_completed_mission() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.run(2.0, 0, (0.5, 0.0, 0.0))
+    scene.run(6.0, 0, (0.0, 0.0, -0.5))
+    found = scene.verdict("completed", "")
+    assert {"near_untold", "pad_untold", "completed_untrue"} <= _kinds(found)
+    assert found.columns()["near_untold"] == 1
+
+    scene.say("vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back")
+    assert _kinds(scene.verdict()) == set()
+
+
+def test_who_flies_on_or_stays_armed_is_named() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.world.autopilots[1].armed = True
+    assert {"air_untold", "armed_untold"} <= _kinds(scene.verdict())
+    scene.say("vehicle 1: is still in the air, in OFFBOARD; vehicle 2: still armed after 120 s of landing")
+    assert _kinds(scene.verdict()) == set()
+
+
+def test_words_about_what_is_not_so() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.world.autopilots[0].armed = True
+    scene.run(3.0)
+    scene.say("vehicle 1: disarmed by itself; it is released and not fought over")
+    scene.say("vehicle 2 is still in the air, in AUTO.LOITER; take it over")
+    scene.say("vehicles 1 and 4: 0.40 m apart, minimum is 0.45 m; everybody comes back")
+    scene.say("vehicle 3: does not follow its setpoints by 0.47 m/s, limit 0.3 m/s; everybody comes back")
+    assert {kind for kind, _ in scene.verdict().found} == {
+        "said_disarmed", "said_in_the_air", "said_near", "said_sick"
+    }  # fmt: skip
+
+    scene = Scene()  # of those with which something is wrong all that may be so
+    scene.witness.upset(range(4))
+    scene.say("vehicles 1 and 4: 0.40 m apart, minimum is 0.45 m; everybody comes back")
+    scene.say("vehicle 3: does not follow its setpoints by 0.47 m/s, limit 0.3 m/s; everybody comes back")
+    assert _kinds(scene.verdict()) == set()
+
+
+def test_a_mission_that_is_not_completed_has_a_reason() -> None:
+    assert _kinds(Scene().verdict("aborted", "")) == {"untold"}
+    assert _kinds(Scene().verdict("refused", "vehicle 1: is off its pad")) == set()
+
+
+def test_the_order_to_land_all_is_a_word_about_everybodys_place() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.run(2.0, 0, (-0.5, 0.0, 0.0))
+    scene.run(6.0, 0, (0.0, 0.0, -0.5))
+    assert np.linalg.norm(scene.world.dynamics.pos_enu_m[:2, 0] - scene.plan.pads_enu_m[0, :2]) > 0.8
+    assert _kinds(scene.verdict()) == {"pad_untold"}
+    scene.say("aborted: landed by the operator")
+    assert _kinds(scene.verdict()) == set()
