@@ -247,7 +247,7 @@ class _Flown:
 
     def _pairs_so_far(self) -> FloatArray:
         """Smallest distance of each pair up to now."""
-        return np.minimum(self._pair_m, self._world.min_distance_airborne_of_pairs_m())
+        return np.asarray(np.minimum(self._pair_m, self._world.min_distance_airborne_of_pairs_m()))
 
     def _take_distances(self) -> None:
         pairs = self._world.min_distance_airborne_of_pairs_m()

@@ -200,14 +200,11 @@ class Witness:
             if up[row] and world.autopilots[row].armed:
                 self._add("said_disarmed", at)
         for number, _ in _SICK.findall(text):
-            row = self._row_of_id.get(int(number))
-            if row is not None and not self._upset[row]:
+            if any(not self._upset[row] for row in self._rows([number])):
                 self._add("said_sick", at)
-        for first, second in _APART.findall(text):
-            i, j = (self._row_of_id.get(int(number)) for number in (first, second))
-            if i is None or j is None or self._upset[[i, j]].any():
-                continue
-            if t_ns - self._last_near_ns[i, j] > _APART_NS:
+        for pair in _APART.findall(text):
+            rows = self._rows(pair)
+            if len(rows) == 2 and not self._upset[rows].any() and t_ns - self._last_near_ns[*rows] > _APART_NS:
                 self._add("said_near", at)
         if _IN_THE_AIR in text:
             for part in text.split("; "):
