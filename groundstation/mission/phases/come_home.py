@@ -37,6 +37,15 @@ class ReturnPhase(PhaseState):
         if self._back(not away.any(), now_ns):
             event = Event.BACK
         elif away.any() and now_ns - self.since_ns >= team.plan.spec.land.timeout_s * SECOND_NS:
-            team.verdict.note("alarm", f"not everybody is back after {team.plan.spec.land.timeout_s:g} s; landing")
+            names = ", ".join(
+                f"vehicle {team.fleet.sysid[row]} is {offset_m[row]:.2f} m from its place"
+                for row in np.flatnonzero(away).tolist()
+            )
+            waited_s = team.plan.spec.land.timeout_s
+            text = f"not everybody is back after {waited_s:g} s, landing: {names}"
+            if team.verdict.reason:
+                team.verdict.note("alarm", text)
+            else:  # who lands elsewhere has not completed its mission
+                team.verdict.abort(text)
             event = Event.BACK
         return Step(team.formation.fly_home(poses, team.absent(), team.places_ned_m(gather_ned_m)), event)
