@@ -23,7 +23,8 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 from groundstation.design.store import load_formation
-from groundstation.mission.plan.plan import MissionPlan, load_mission
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 from sitl.faults import Fault
 
 _TRIES = 200
