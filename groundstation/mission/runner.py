@@ -180,7 +180,7 @@ class Runner(Told):
                 self._machine.happen(step.event, now_ns)
         except Exception as error:
             self._fault(error, now_ns)
-            self._team.guide.rest()
+            self._team.helm.rest()
             return still
         return still if step.vel_ned_m_s is None else step.vel_ned_m_s
 

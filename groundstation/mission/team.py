@@ -13,6 +13,7 @@ from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.apart import Apart
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.killing import Killing
 from groundstation.mission.flight.landing import Landing
 from groundstation.mission.flight.poses import Poses
@@ -78,12 +79,12 @@ class Team:
         self.preflight = Preflight(plan, self.station, self.frame, look_only=purpose.only_looks)
         self.roster = enlist(plan, untaken=purpose.in_the_air)
         self.board = Board(plan)
-        self.guide = Guide(plan)
-        self.formation = FormationFlight(plan, self.roster, self.guide, self.verdict.figures, self.verdict.note)
+        self.helm = Helm(Guide(plan), plan.size)
+        self.formation = FormationFlight(plan, self.roster, self.helm, self.verdict.figures, self.verdict.note)
         commands = self.station.commands
-        self.landing = Landing(plan, fleet, commands, self.roster, self.guide.beside_m)
+        self.landing = Landing(plan, fleet, commands, self.roster, self.helm.guide.beside_m)
         self.killing = Killing(plan, fleet, commands, self.roster)
-        self.apart = Apart(plan, self.roster, self.landing)
+        self.apart = Apart(self.helm.guide, plan.size, self.roster, self.landing)
         self.stance = Stance(plan.size)
         self.turns = OutOfTurn(self.preflight.checks.failsafe, fleet.sysid.tolist())
 

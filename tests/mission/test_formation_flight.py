@@ -9,6 +9,7 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.plan.reading import load_mission
@@ -28,7 +29,11 @@ class Team:
         self.figures, self.texts = Figures(), list[str]()
         self.roster = enlist(self.plan)
         self.flight = FormationFlight(
-            self.plan, self.roster, Guide(self.plan), self.figures, lambda kind, text, given: self.texts.append(text)
+            self.plan,
+            self.roster,
+            Helm(Guide(self.plan), self.plan.size),
+            self.figures,
+            lambda kind, text, given: self.texts.append(text),
         )
         if roles:
             self.flight.assign(first_roles(self.plan))

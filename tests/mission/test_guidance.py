@@ -10,6 +10,7 @@ import pytest
 from groundstation.app.resources import packaged_configs
 from groundstation.core.control import task_for_roles
 from groundstation.mission.flight.guidance import Course, Guide
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.reading import load_mission
 
@@ -25,7 +26,7 @@ def poses_of(first_m: list[float], second_m: list[float]) -> Poses:
 
 def settled(poses: Poses, target_m: list[float]) -> np.ndarray:
     """What the first vehicle is told once the slope of setpoints matters no more."""
-    guide = Guide(PLAN)
+    guide = Helm(Guide(PLAN), PLAN.size)
     targets = poses.pos_team_ned_m.copy()
     targets[0] = target_m
     for _ in range(100):
@@ -43,7 +44,7 @@ def test_an_obstacle_pushes_from_farther_and_twice_as_hard() -> None:
     rate_1_s = 1.0 / (4 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
     assert pushed[0] == pytest.approx(rate_1_s * (0.6 - 0.45 - margin_m - 0.25), abs=1e-6)
     # The obstacle's own row stays as it was: nobody steers it.
-    assert abs(Guide(PLAN).to_targets(obstacle, obstacle.pos_team_ned_m).vel_ned_m_s[1]).max() < 0.5
+    assert abs(Helm(Guide(PLAN), PLAN.size).to_targets(obstacle, obstacle.pos_team_ned_m).vel_ned_m_s[1]).max() < 0.5
 
 
 def test_a_fast_obstacle_is_seen_from_farther() -> None:
@@ -96,7 +97,7 @@ def test_large_teams_are_guided_as_small_ones_are(monkeypatch: pytest.MonkeyPatc
         told = []
         for many in (64, 2):
             monkeypatch.setattr("groundstation.mission.flight.guidance._MANY", many)
-            guide = Guide(plan)
+            guide = Helm(Guide(plan), plan.size)
             for _ in range(10):
                 formed = guide.formation(calm, task, course)
             told.append((formed, guide.to_targets(poses, np.zeros((8, 3)))))

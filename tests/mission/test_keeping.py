@@ -10,6 +10,7 @@ from groundstation.core import frames
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.keeping import SPEED_SHARE, PlaceKeeper, heading_of
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
@@ -30,7 +31,11 @@ class Drifting:
     def __init__(self, *changes: str, drift_m_s: float = 0.03, noise_m: float = 0.05) -> None:
         self.plan = load_mission(FIRST2, (*LONG, *changes))
         self.flight = FormationFlight(
-            self.plan, enlist(self.plan), Guide(self.plan), Figures(), lambda kind, text, given: None
+            self.plan,
+            enlist(self.plan),
+            Helm(Guide(self.plan), self.plan.size),
+            Figures(),
+            lambda kind, text, given: None,
         )
         self.flight.assign(first_roles(self.plan))
         self.pos: FloatArray = self.flight.gather_ned_m.copy()

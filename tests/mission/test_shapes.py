@@ -10,6 +10,7 @@ import pytest
 from groundstation.core.errors import UserError
 from groundstation.core.regions import SafetyCylinder, SafetyEllipsoid, SafetySphere
 from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.reading import plan_from_record
 from tests.app.flights import cube8
@@ -75,7 +76,7 @@ def test_who_comes_down_on_another_is_held_by_the_height_of_the_region_whatever_
     targets[1, 2] = -1.4
     told: dict[str, float] = {}
     for mission in (plan, cube8()):
-        guide = Guide(mission)
+        guide = Helm(Guide(mission), mission.size)
         for _ in range(60):
             setpoints = guide.to_targets(poses, targets)
         told[mission.spec.avoidance.shape] = setpoints.vel_ned_m_s[1, 2]
@@ -93,7 +94,7 @@ def test_an_obstacle_is_avoided_in_the_shape_of_the_mission() -> None:
     obstacle = dataclasses.replace(poses, extra_radius_m=np.array([0.0, 0.3, *[0.0] * 6]))
     told: dict[str, float] = {}
     for name, seen in (("plain", poses), ("obstacle", obstacle)):
-        guide = Guide(plan)
+        guide = Helm(Guide(plan), plan.size)
         for _ in range(60):
             setpoints = guide.to_targets(seen, pos)
         told[name] = setpoints.vel_ned_m_s[0, 2]

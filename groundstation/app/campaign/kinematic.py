@@ -15,6 +15,7 @@ from groundstation.app.campaign.cases import Case
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.plan.plan import MissionPlan
@@ -59,7 +60,7 @@ def kinematic_time_to_form_s(case: Case) -> float:
     """
     plan = kinematic_plan(case)
     figures = Figures()
-    flight = FormationFlight(plan, enlist(plan), Guide(plan), figures, lambda kind, text, roles: None)
+    flight = FormationFlight(plan, enlist(plan), Helm(Guide(plan), plan.size), figures, lambda kind, text, roles: None)
     flight.assign(first_roles(plan))
     pos_ned_m: FloatArray = flight.gather_ned_m.copy()
     vel_ned_m_s: FloatArray = np.zeros_like(pos_ned_m)

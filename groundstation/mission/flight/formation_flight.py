@@ -19,7 +19,8 @@ from groundstation.core.metrics import formation_error_m, free_scale_error_m, ve
 from groundstation.core.places import own_places
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mission.flight.guidance import Course, Guide
+from groundstation.mission.flight.guidance import Course
+from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.keeping import added
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.steps import Now, StepFlight, step_flight
@@ -54,7 +55,7 @@ class FormationFlight:
     Args:
         plan: formations, gains, steps.
         roster: who flies with the team.
-        guide: makes setpoints.
+        helm: makes setpoints.
         figures: where times, errors and gridlocks are entered.
         note: takes what is worth the log: kind, text, roles.
 
@@ -67,7 +68,7 @@ class FormationFlight:
         self,
         plan: MissionPlan,
         roster: Roster,
-        guide: Guide,
+        helm: Helm,
         figures: Figures,
         note: Callable[[str, str, tuple[int, ...]], None],
     ) -> None:
@@ -76,7 +77,7 @@ class FormationFlight:
         self._roster = roster
         self.gather_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._plan = plan
-        self._guide = guide
+        self._helm, guide = helm, helm.guide
         self._now = UnderWay(plan, roster, guide, figures, note)
         self._task: Task | None = None
         self._able_gain = np.inf
@@ -238,7 +239,7 @@ class FormationFlight:
             motion=added(tick.motion, kept),
             present=tick.present,
         )
-        guidance = self._guide.formation(poses, self._sized_task(self._task), course)
+        guidance = self._helm.formation(poses, self._sized_task(self._task), course)
         doing.left_room(guidance.room)
         if forming:
             self._get_out(guidance.sensed, absent | ~members, course)
@@ -268,7 +269,7 @@ class FormationFlight:
             self._going_home = True
             self._gridlocks.forget()
         detours = self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s))
-        setpoints = self._guide.to_targets(poses, target_ned_m, detours)
+        setpoints = self._helm.to_targets(poses, target_ned_m, detours)
         to_goal_enu_m = frames.enu_from_ned(target_ned_m - poses.pos_team_ned_m)
         absent = absent | ~np.isfinite(poses.pos_team_ned_m).all(axis=1)
         self._get_out(setpoints.sensed, absent, to_goal_enu_m)

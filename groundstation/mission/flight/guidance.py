@@ -1,7 +1,7 @@
 """From poses to velocity setpoints: local view, law, avoidance, back to NED, limits.
 
 Everything between the view and the limits happens in each agent's own tilted body frame, with nothing but that
-agent's own view. Keeps no state but the last setpoints, whose slope is limited.
+agent's own view. Keeps nothing: what was told last, from which the slope is limited, is handed in.
 """
 
 from __future__ import annotations
@@ -111,11 +111,6 @@ class Guide:
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
         floor_enu = np.array([*spec.fence.min_m[:2], max(plan.min_altitude_m, spec.fence.min_m[2])])
         self._formation_box = Fence.from_enu(floor_enu, np.array(spec.fence.max_m))
-        self._previous_ned_m_s: FloatArray = np.zeros((plan.size, 3))
-
-    def rest(self) -> None:
-        """Forgets the last setpoints: everybody was told to stand still."""
-        self._previous_ned_m_s = np.zeros((self._plan.size, 3))
 
     @property
     def keep_out_m(self) -> float:
@@ -132,7 +127,7 @@ class Guide:
         """Lag and delay of the slowest vehicle."""
         return self._stopping_s
 
-    def formation(self, poses: Poses, task: Task, course: Course) -> Setpoints:
+    def formation(self, poses: Poses, task: Task, course: Course, told_ned_m_s: FloatArray) -> Setpoints:
         """One tick of (14) with avoidance, above the floor of formation flight."""
         if self._plan.size >= _MANY:
             views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
@@ -164,6 +159,7 @@ class Guide:
             views,
             wish,
             self._formation_box,
+            told_ned_m_s,
             who=who,
             detour_enu_m_s=course.detour_enu_m_s,
             common_enu_m_s=common_enu,
@@ -184,9 +180,20 @@ class Guide:
         return replace(views, rel_vel_flu_m_s=views.rel_vel_flu_m_s - expected_flu)
 
     def to_targets(
-        self, poses: Poses, target_team_ned_m: FloatArray, detour_enu_m_s: FloatArray | None = None
+        self,
+        poses: Poses,
+        target_team_ned_m: FloatArray,
+        told_ned_m_s: FloatArray,
+        detour_enu_m_s: FloatArray | None = None,
     ) -> Setpoints:
-        """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground."""
+        """One tick towards a point for each vehicle, with the same avoidance; the floor is the ground.
+
+        Args:
+            poses: of the team.
+            target_team_ned_m: shape (n, 3).
+            told_ned_m_s: setpoints of the tick before, shape (n, 3).
+            detour_enu_m_s: what agents on a detour wish instead, NaN for all others, shape (n, 3).
+        """
         who = None
         if self._plan.size >= _MANY:
             views, who = self._near_views(poses)
@@ -195,7 +202,7 @@ class Guide:
         offset_ned = target_team_ned_m - poses.pos_team_ned_m
         offset_ned = offset_ned - self._plan.lead_s * poses.vel_ned_m_s
         wish = self._target_rate_1_s * frames.rotate_back(poses.rot_ned_from_flu, offset_ned)
-        return self._finish(poses, views, wish, self._fence, who=who, detour_enu_m_s=detour_enu_m_s)
+        return self._finish(poses, views, wish, self._fence, told_ned_m_s, who=who, detour_enu_m_s=detour_enu_m_s)
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
         """What each agent sees: its neighbours, and whoever is near enough to hit."""
@@ -279,6 +286,7 @@ class Guide:
         views: LocalViews,
         wish_flu_m_s: FloatArray,
         box: Fence,
+        told_ned_m_s: FloatArray,
         *,
         who: IntArray | None = None,
         detour_enu_m_s: FloatArray | None = None,
@@ -310,7 +318,7 @@ class Guide:
         damped = damp(views, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)
         vel_ned_m_s = apply_limits(
             frames.rotate(rot_ned_from_flu, damped.vel_flu_m_s),
-            self._previous_ned_m_s,
+            told_ned_m_s,
             ahead_ned_m,
             speed_max_m_s=speed_max,
             accel_max_m_s2=self._plan.acceleration_limit_m_s2,
@@ -318,7 +326,6 @@ class Guide:
             fence=box,
             fence_rate_1_s=self._approach_rate_1_s,
         )
-        self._previous_ned_m_s = vel_ned_m_s
         corners = [frames.enu_from_ned(corner) for corner in (box.min_team_ned_m, box.max_team_ned_m)]
         pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
         sensed = Sensed(

@@ -101,7 +101,7 @@ class LandPhase(_ComingDown):
         event = Event.DOWN if self._over(now_ns) else None
         if not team.roster.follows.any():
             return Step(event=event)  # the autopilots land by themselves, nobody is left to be steered
-        return Step(team.guide.to_targets(poses, team.places_ned_m(gather_ned_m)).vel_ned_m_s, event)
+        return Step(team.helm.to_targets(poses, team.places_ned_m(gather_ned_m)).vel_ned_m_s, event)
 
 
 class SilentPhase(_ComingDown):

@@ -20,7 +20,7 @@ class StopPhase(PhaseState):
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Stands still."""
-        self._team.guide.rest()
+        self._team.helm.rest()
         return Step(event=Event.STOOD if now_ns - self.since_ns >= _STOP_NS else None)
 
 
@@ -65,4 +65,4 @@ class PausePhase(PhaseState):
             event = Event.GIVE_UP_NOW
         elif not (team.roster.waited_for & team.fleet.armed).any():
             event = Event.NOBODY_LEFT
-        return Step(team.guide.to_targets(poses, team.places_ned_m(self._rest_ned_m)).vel_ned_m_s, event)
+        return Step(team.helm.to_targets(poses, team.places_ned_m(self._rest_ned_m)).vel_ned_m_s, event)

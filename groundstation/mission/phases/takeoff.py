@@ -24,7 +24,7 @@ class TakeoffPhase(PhaseState):
 
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
-        self._climb = Climb(team.plan, team.roster, team.guide.beside_m)
+        self._climb = Climb(team.plan, team.roster, team.helm.guide.beside_m)
         self._there = Held()
 
     def leave(self, to: Phase) -> None:
@@ -56,4 +56,4 @@ class TakeoffPhase(PhaseState):
             )
             team.verdict.abort(f"takeoff not finished after {team.plan.spec.takeoff.timeout_s:g} s: {late}")
             event = Event.GIVE_UP
-        return Step(team.guide.to_targets(poses, gather_ned_m).vel_ned_m_s, event)
+        return Step(team.helm.to_targets(poses, gather_ned_m).vel_ned_m_s, event)
