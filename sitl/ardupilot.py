@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, ClassVar
 
-from groundstation.mavlink.codec import Frame
+from groundstation.mavlink.codec import Frame, message_name
 from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot
 from sitl.frames import is_place
+from sitl.messages import MAKERS
 from sitl.params import ardupilot_params
 from sitl.protocol import (
     ACCEPTED,
@@ -42,7 +43,7 @@ NAMES = {
 }  # fmt: skip
 _NEED_POSITION = {AUTO, GUIDED, LOITER, RTL, CIRCLE, POSHOLD, BRAKE, SMART_RTL}
 _NOT_ARMABLE = {RTL, LAND, BRAKE, SMART_RTL, CIRCLE, AUTO}
-_GUIDED_FLAG = _NEED_POSITION
+_GUIDED_FLAG = _NEED_POSITION | {LAND}
 _STATION_LOST = {5: LAND, 7: BRAKE}  # FS_GCS_ENABLE; the others return, some by the way they came
 
 CRITICAL, WARNING, INFO = 2, 4, 6
@@ -50,6 +51,8 @@ _PRESENT = 0x5371FC2F  # a fence (0x100000) is there, and not enabled, before on
 _ENABLED, _WELL = 0x52419C2F, 0x47519C2F  # while it holds no position
 _HOLDS, _AHRS, _LOGGING, _PREARM = 0x6000, 0x200000, 0x1000000, 0x10000000
 _EXTERNAL_NAV = 6
+_ARMING_NS, _SPOOL_NS = 2 * SECOND, round(1.4 * SECOND)  # after arming; after that, or after the takeoff command
+_AFTER_LANDING_S = 0.5
 
 DATA_STREAMS: dict[int, tuple[str, ...]] = {
     1: ("RAW_IMU", "SCALED_PRESSURE"),
@@ -61,6 +64,16 @@ DATA_STREAMS: dict[int, tuple[str, ...]] = {
     12: ("SYSTEM_TIME", "BATTERY_STATUS", "EKF_STATUS_REPORT", "VIBRATION"),
 }
 """REQUEST_DATA_STREAM groups; 0 stands for all of them."""
+_BOOT_TEXTS = (
+    (1.86, "Barometer 1 calibration complete"), (1.86, "Barometer 2 calibration complete"), (2.39, "ArduPilot Ready"),
+    (2.39, "AHRS: DCM active"), (4.39, "EKF3 IMU0 initialised"), (4.39, "EKF3 IMU1 initialised"),
+    (4.39, "AHRS: EKF3 active"), (5.74, "EKF3 IMU0 tilt alignment complete"),
+    (5.74, "EKF3 IMU1 tilt alignment complete"), (5.83, "EKF3 IMU0 MAG0 initial yaw alignment complete"),
+    (5.83, "EKF3 IMU1 MAG0 initial yaw alignment complete"), (9.75, "GPS 1: probing for u-blox at 230400 baud"),
+    (9.76, "GPS 1: detected u-blox"),
+)  # fmt: skip
+"""What it says while it starts, and after how many seconds; sooner where start-up takes less than the real one's."""
+_REAL_ORIGIN_S = 20.0
 
 
 class ArduCopter(Autopilot):
@@ -91,6 +104,8 @@ class ArduCopter(Autopilot):
         self._braked = False
         self._entered: int | None = None
         self._origin_told = False
+        self._asked_up_ns = 0
+        self._boot_texts = list(_BOOT_TEXTS)
         self.messages.update(
             {
                 MSG_SET_MODE: self._on_set_mode,
@@ -147,11 +162,21 @@ class ArduCopter(Autopilot):
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
         known = self.world.has_origin[self.index]
-        common = (_HOLDS if self.mode in _NEED_POSITION else 0) | (_AHRS if known else 0)
+        common = (_HOLDS if self.mode in _GUIDED_FLAG else 0) | (_AHRS if known else 0)
         health = _WELL | common | (_PREARM if self.armed or self.arm_refusal() is None else 0)
         if known and not self.position_good:
             health &= ~_AHRS
         return _PRESENT, _ENABLED | common | (_LOGGING if self.armed else 0), health
+
+    @property
+    def _boot_pace(self) -> float:
+        """Nanoseconds of this start for a second of the real one's."""
+        return self.boot.origin_ns / _REAL_ORIGIN_S
+
+    def _request(self, msgid: int, frame: Frame) -> int:
+        """What it knows and cannot tell yet is accepted, and not sent."""
+        result = super()._request(msgid, frame)
+        return ACCEPTED if (message_name(msgid) or "") in MAKERS else result
 
     def started(self) -> None:
         """Sends what comes out of a freshly booted board: bytes that are no MAVLink, then its banner."""
@@ -164,9 +189,10 @@ class ArduCopter(Autopilot):
         self.text(INFO, "Frame: QUAD/X")
 
     def position_found(self) -> None:
-        """Tells about the origin and the sensors in use."""
+        """Tells about the sensors in use, and where home is."""
         super().position_found()
         self.text(INFO, "EKF3 IMU0 is using GPS")
+        self.text(INFO, "EKF3 IMU1 is using GPS")
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -197,6 +223,7 @@ class ArduCopter(Autopilot):
             self.text(CRITICAL, why)
             return FAILED
         self.arm()
+        self.world.send_now(self.index, "HOME_POSITION")
         self.taking_off_to = None
         self._entered = None
         self.text(INFO, "Arming motors")
@@ -259,6 +286,7 @@ class ArduCopter(Autopilot):
         if self.mode != GUIDED or not self.armed or not self.landed or not 0.0 < height <= 100_000.0:
             return FAILED
         self.taking_off_to = height
+        self._asked_up_ns = self.world.now_ns
         self._entered = None
         return ACCEPTED
 
@@ -343,31 +371,33 @@ class ArduCopter(Autopilot):
         return self._landing()
 
     def touched_down(self) -> None:
-        """Disarms on landing."""
+        """Motors stop a moment later."""
         self.setpoint = None
-        if self._landing():
-            self.disarm()
 
     def update(self, now_ns: int) -> None:
         """Checks the failsafes, then lets the mode act."""
         if not self._origin_told and self.world.has_origin[self.index]:
             self._origin_told = True
             self.text(INFO, "EKF3 IMU0 origin set")
+            self.text(INFO, "EKF3 IMU1 origin set")
+        while self._boot_texts and self.age_ns >= self._boot_texts[0][0] * self._boot_pace:
+            self.text(INFO, self._boot_texts.pop(0)[1])
         if not self.armed:
             return
         self._check_failsafes(now_ns)
         if self.landed:
             delay_s = self.params["DISARM_DELAY"]
             since = self.landed_ns if self.taken_off else self.armed_ns
+            if self.taken_off and self._landing():
+                delay_s = _AFTER_LANDING_S
             if delay_s > 0 and now_ns - since >= delay_s * SECOND and not self.wants_up():
                 self.disarm()
                 return
         if self.landed and not self.world.dynamics.flying[self.index]:
-            if self.wants_up() and now_ns - self.armed_ns >= SECOND:  # spool-up
-                self.set_flying(True)
-                self._entered = None
-            else:
+            if not (self.wants_up() and now_ns - max(self.armed_ns + _ARMING_NS, self._asked_up_ns) >= _SPOOL_NS):
                 return
+            self.set_flying(True)
+            self._entered = None
         self._act(now_ns)
 
     def _check_failsafes(self, now_ns: int) -> None:

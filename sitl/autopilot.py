@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SECOND = 1_000_000_000
 FORCE_MAGIC = 21196
 LANDED, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
-_CONTACT_NS = round(0.45 * SECOND)  # on the ground and not wanting up for this long: landed
 _LIFTED_M = 0.03
 
 
@@ -365,7 +364,8 @@ class Autopilot(Protocol):
             return
         if self._contact_since_ns is None:
             self._contact_since_ns = now_ns
-        if now_ns - self._contact_since_ns >= _CONTACT_NS or not self.armed:
+        contact_ns = self.world.profile_of(self.index).land_contact_s * SECOND
+        if now_ns - self._contact_since_ns >= contact_ns or not self.armed:
             self.landed, self.landed_ns = True, now_ns
             self.set_flying(False)
             self.touched_down()

@@ -259,6 +259,36 @@ def _position_target_local_ned(world: World, _view: View, vehicles: IntArray) ->
 
 
 @message()
+def _attitude_target(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+    """As far as the dynamics have one: the attitude that is flown, with the thrust."""
+    out = rows_of("ATTITUDE_TARGET", vehicles)
+    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["q"] = view.quat_ned_from_frd[:, vehicles].T
+    out["thrust"] = np.clip(world.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    return out
+
+
+@message()
+def _distance_sensor(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    """The one that PX4's built-in simulator has, looking down."""
+    out = rows_of("DISTANCE_SENSOR", vehicles)
+    dynamics = world.dynamics
+    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["max_distance"], out["orientation"] = 10_000, 25  # cm; MAV_SENSOR_ROTATION_PITCH_270
+    height_m = dynamics.pos_enu_m[2, vehicles] - dynamics.ground_m[vehicles]
+    out["current_distance"] = np.rint(np.clip(height_m * 100.0, 0.0, 10_000.0))
+    return out
+
+
+@message()
+def _ping(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+    out = rows_of("PING", vehicles)
+    out["time_usec"] = times_us(world, vehicles)
+    out["seq"] = times_us(world, vehicles) // 1_000_000
+    return out
+
+
+@message()
 def _extended_sys_state(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("EXTENDED_SYS_STATE", vehicles)
     out["landed_state"] = [pilot.landed_state() for pilot in _each(world, vehicles)]

@@ -1,4 +1,4 @@
-"""Columns of the message types that only ArduPilot streams; importing this module registers them.
+"""Columns of the message types that ArduPilot streams, some PX4 too; importing this module registers them.
 
 Refuses to be a sensor model: values are believable, no more.
 """

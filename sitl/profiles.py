@@ -1,4 +1,4 @@
-"""How each kind of vehicle flies: the numbers behind the three dynamics profiles.
+"""How each kind of vehicle flies: the numbers behind the dynamics profiles.
 
 Holds numbers and says where they come from. Refuses to simulate: ``dynamics`` does.
 """
@@ -6,7 +6,7 @@ Holds numbers and says where they come from. Refuses to simulate: ``dynamics`` d
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,10 @@ class Profile:
         mass_kg: only for the downwash's reach and the battery.
         rotor_span_m: distance between opposite rotors.
         hover_endurance_s: hovering time on a full battery.
+        land_contact_s: standing on the ground for so long before the land detector says so.
+        crawl_below_m: height below which it comes down at ``crawl_m_s`` only, where it measures that height; 0: never.
+        crawl_m_s: that speed.
+        clock_rate: how fast its clock runs against real time.
     """
 
     name: str
@@ -69,6 +73,10 @@ class Profile:
     mass_kg: float
     rotor_span_m: float
     hover_endurance_s: float
+    land_contact_s: float = 0.45
+    crawl_below_m: float = 0.0
+    crawl_m_s: float = 0.3
+    clock_rate: float = 1.0
 
 
 CRAZYFLIE = Profile(
@@ -133,6 +141,16 @@ PX4_QUAD = Profile(
 )
 """A 1.5 kg quadrotor under PX4: 2 m/s step seen as 1.25 m/s at 1 s, 1.5 at 3 s, 1.7 at 6 s."""
 
+PX4_SIH = replace(
+    PX4_QUAD,
+    name="px4_sih",
+    land_contact_s=3.2,
+    crawl_below_m=1.0,  # MPC_LAND_ALT3, since it has a distance sensor; MPC_LAND_CRWL
+    clock_rate=0.987,
+)
+"""The same in PX4's built-in simulator on a busy computer, as recorded: it counts time slowly, crawls down the last
+metre at 0.32 m/s and is told to have landed 3.2 s after it has touched the ground."""
+
 ARDUCOPTER = Profile(
     name="arducopter",
     kp_xy_per_s=4.0,
@@ -161,7 +179,8 @@ ARDUCOPTER = Profile(
     mass_kg=1.5,
     rotor_span_m=0.5,
     hover_endurance_s=1200.0,
+    land_contact_s=1.5,
 )
 """A 1.5 kg quadrotor under ArduCopter: 2 m/s step seen as 1.45 m/s at 1 s, 1.94 at 2 s, 2.0 at 3 s."""
 
-PROFILES = {profile.name: profile for profile in (CRAZYFLIE, PX4_QUAD, ARDUCOPTER)}
+PROFILES = {profile.name: profile for profile in (CRAZYFLIE, PX4_QUAD, PX4_SIH, ARDUCOPTER)}

@@ -202,7 +202,7 @@ class Protocol:
 
     def _set_interval(self, params: tuple[float, ...], _frame: Frame) -> int:
         if whole(params[2]) or whole(params[3]):
-            return DENIED
+            return FAILED
         name = message_name(whole(params[0])) or ""
         interval_us = min(whole(params[1]), 10**12)
         streams, now_ns = self.world.streams, self.world.now_ns

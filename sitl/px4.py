@@ -45,7 +45,8 @@ _NEED_POSITION = {POSCTL, OFFBOARD, TAKEOFF, LOITER, MISSION, RTL, LAND}
 
 CRITICAL, INFO = 2, 6
 WARNING = 4
-_SINK_M_S = 0.55
+_SINK_M_S = 0.6  # 0.55 to 0.65 were seen
+_TOLD_OF_RAMP, _LIFT_OF_RAMP = 0.3, 0.68  # shares of MPC_TKO_RAMP_T after spooling up: 1.9 s and 3.05 s after arming
 _SLOW_CHECKS = 5  # what need not be looked at every 20 ms
 _BATTERY_LEVELS = (
     ("BAT_LOW_THR", WARNING, "Low battery level, return advised\t"),
@@ -85,6 +86,7 @@ class Px4(Autopilot):
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._takeoff_to: tuple[float, float, float] | None = None
         self._rtl_stage = 0
+        self._ramp_since_ns = 0
         self._above_home_ns = 0
         self._until_setpoints = False
         self._battery_told = 0
@@ -101,7 +103,7 @@ class Px4(Autopilot):
         self.commands.update(
             {
                 20: lambda _p, _f: self._change_mode(RTL),
-                21: lambda _p, _f: self._change_mode(LAND),
+                21: self._land_command,
                 22: self._takeoff_command,
                 176: self._mode_command,
                 178: self._speed_command,
@@ -157,10 +159,9 @@ class Px4(Autopilot):
         """SYS_STATUS sensors: present, enabled, healthy."""
         # What is watched and not well is enabled, whether it is there or not; the prearm bit is in health alone.
         lost = 0 if self.position_good else _POSITION
-        present = _FITTED & ~lost & ~(0 if self.has_position else _GPS)
-        health = _WELL & ~lost
+        present = _FITTED if self.has_position else _FITTED & ~_GPS
         ready = _PREARM if self.ready and not self.deny_arming else 0
-        return present, present | lost | _RECEIVER, health | ready
+        return present, present | _RECEIVER, (_WELL & ~lost) | ready
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -276,6 +277,12 @@ class Px4(Autopilot):
         self._takeoff_to = self._takeoff_target(params[4], params[5], params[6])
         return self._change_mode(TAKEOFF)
 
+    def _land_command(self, _params: tuple[float, ...], _frame: Frame) -> int:
+        result = self._change_mode(LAND)
+        if result == ACCEPTED and self.armed and not self.landed:
+            self.text(INFO, "Landing at current position\t")
+        return result
+
     def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if params[1] > 0:
             self.limit_speed(xy_m_s=params[1])
@@ -365,16 +372,34 @@ class Px4(Autopilot):
         if not self.armed:
             return
         dynamics, i = self.world.dynamics, self.index
-        if self.landed and not dynamics.flying[i]:
-            spooled = now_ns - self.armed_ns >= self.params["COM_SPOOLUP_TIME"] * SECOND
-            if spooled and not self.taken_off and self.wants_up():
-                self.set_flying(True)
-                self._entered = None
+        if not self.taken_off and not dynamics.flying[i]:
+            self._ramp_up(now_ns)
             return
         if self.landed and not self.wants_up():
             self.set_flying(False)
             return
         self._act(now_ns)
+
+    def _ramp_up(self, now_ns: int) -> None:
+        """Motors spool up, then thrust grows over MPC_TKO_RAMP_T: counted as taken off early, lifted later."""
+        spooled = now_ns - self.armed_ns >= self.params["COM_SPOOLUP_TIME"] * SECOND
+        if not spooled or not self.wants_up():
+            self._ramp_since_ns = now_ns
+            self.landed = True
+            return
+        ramped = (now_ns - self._ramp_since_ns) / SECOND / max(self.params["MPC_TKO_RAMP_T"], 0.1)
+        if ramped >= _TOLD_OF_RAMP and self.landed:
+            self.landed = False
+            self.text(INFO, "Takeoff detected\t")
+        if ramped >= _LIFT_OF_RAMP:
+            self.set_flying(True)
+            self.taken_off = True
+            self._entered = None
+
+    def touched_down(self) -> None:
+        """Tells it."""
+        if self.armed and self.taken_off:
+            self.text(INFO, "Landing detected\t")
 
     def _check_offboard(self) -> None:
         if self.intention != OFFBOARD:
@@ -494,7 +519,10 @@ class Px4(Autopilot):
         height = z - float(self.world.home_enu_m[2, self.index])
         slow, fast = self.params["MPC_LAND_SPEED"], self.params["MPC_Z_V_AUTO_DN"]
         share = min(max((height - 5.0) / 5.0, 0.0), 1.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1
-        speed = min(slow + share * (fast - slow), self.world.profile_of(self.index).speed_down_max_m_s)
+        profile = self.world.profile_of(self.index)
+        speed = min(slow + share * (fast - slow), profile.speed_down_max_m_s)
+        if height < profile.crawl_below_m:
+            speed = min(speed, profile.crawl_m_s)
         self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _rtl_top(self, z: float, home_z: float, far: float) -> float:

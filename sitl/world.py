@@ -211,6 +211,8 @@ class World:
         self.has_gps = np.array([vehicle.gps for vehicle in config.vehicles])
         self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
         self.clock_offset_ns = np.zeros(n, dtype=np.int64)
+        self._clock_slow = np.array([1.0 - profile.clock_rate for profile in self.profiles])
+        self._clock_drifts = bool(self._clock_slow.any())
         self._boot_ns = np.full(n, config.start_ns, dtype=np.int64)
         self._uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
         self._downlinks = [Channel(config.downlink, np.random.default_rng(s)) for s in seeds[4 + n :]]
@@ -328,11 +330,14 @@ class World:
 
     def vehicle_time_ns(self) -> NDArray[np.int64]:
         """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped."""
-        return np.asarray(np.maximum(self.now_ns - self._boot_ns + self.clock_offset_ns, 0))
+        counted = self.now_ns - self._boot_ns
+        if self._clock_drifts:
+            counted = counted - np.rint(counted * self._clock_slow).astype(np.int64)
+        return np.asarray(np.maximum(counted + self.clock_offset_ns, 0))
 
     def vehicle_time_of(self, index: int) -> int:
         """The same for one vehicle."""
-        return max(int(self.now_ns - self._boot_ns[index] + self.clock_offset_ns[index]), 0)
+        return int(self.vehicle_time_ns()[index])
 
     def unix_us(self) -> int:
         """The date, microseconds."""

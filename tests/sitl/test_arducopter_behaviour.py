@@ -70,7 +70,7 @@ def test_refused_arming_is_result_4_with_the_reason() -> None:
     ground = Ground(arducopter())
     ground.run(0.5)
     assert ground.ask(400, 1) == 4
-    assert ground.texts()[-1][1].startswith("PreArm: ")
+    assert [text for severity, text in ground.texts() if severity == 2][-1].startswith("PreArm: ")
     ground.run(2.0)
     assert ground.ask(176, 1, APM_LAND) == 0
     assert ground.ask(400, 1) == 4
@@ -87,7 +87,9 @@ def test_takeoff_only_when_guided_and_armed_height_above_home() -> None:
     assert ground.ask(400, 1) == 0
     assert ground.ask(22, 0, 0, 0, 0, 0, 0, 3.0) == 0
     ground.interval("EXTENDED_SYS_STATE", 20)
-    ground.run(2.0)
+    ground.run(3.0)
+    assert ground.last("EXTENDED_SYS_STATE").landed_state == 1  # motors spool up: lift-off was seen 3.5 s after arming
+    ground.run(1.0)
     assert ground.last("EXTENDED_SYS_STATE").landed_state == 3
     ground.run(6.0)
     assert ground.height() == pytest.approx(3.0, abs=0.1)
@@ -126,6 +128,8 @@ def test_disarms_by_itself_after_ten_seconds_and_on_landing() -> None:
     assert ground.last("EXTENDED_SYS_STATE").landed_state == 4
     assert ground.last("HEARTBEAT").custom_mode == APM_LAND
     ground.run_until(lambda: ground.last("EXTENDED_SYS_STATE").landed_state == 1, 12.0)
+    assert ground.world.truth.armed[0]
+    ground.run(0.6)  # 0.5 s were seen
     assert not ground.world.truth.armed[0]
 
 

@@ -62,7 +62,8 @@ def test_onboard_link_streams_unasked_at_the_seen_rates() -> None:
         "ATTITUDE": 99, "ATTITUDE_QUATERNION": 50, "HIGHRES_IMU": 50, "GLOBAL_POSITION_INT": 50,
         "LOCAL_POSITION_NED": 30, "ODOMETRY": 30, "TIMESYNC": 10, "ALTITUDE": 10, "VFR_HUD": 10,
         "GPS_RAW_INT": 8, "SYS_STATUS": 5, "EXTENDED_SYS_STATE": 5, "HEARTBEAT": 1, "ESTIMATOR_STATUS": 1,
-        "SYSTEM_TIME": 1, "BATTERY_STATUS": 0.5, "HOME_POSITION": 0.5,
+        "SYSTEM_TIME": 1, "BATTERY_STATUS": 0.5, "HOME_POSITION": 0.5, "ATTITUDE_TARGET": 10, "DISTANCE_SENSOR": 10,
+        "SERVO_OUTPUT_RAW": 10, "MISSION_CURRENT": 1, "PING": 1, "SCALED_PRESSURE": 1, "VIBRATION": 0.5,
     }  # fmt: skip
     for name, hz in rates.items():
         assert count[name] == pytest.approx(10 * hz, abs=1), name
@@ -81,8 +82,8 @@ def test_message_interval_and_request() -> None:
     assert ground.ask(511, 32, 10_000) == 0  # LOCAL_POSITION_NED at 100 Hz
     assert ground.ask(511, 30, -1) == 0  # ATTITUDE off
     assert ground.ask(511, 331, 20_000, 0.0, 0.0) == 0
-    assert ground.ask(511, 32, 20_000, 1.0) == 2  # param 3 must be 0
-    assert ground.ask(511, 32, 20_000, 0.0, 5.0) == 2
+    assert ground.ask(511, 32, 20_000, 1.0) == 4  # param 3 must be 0
+    assert ground.ask(511, 32, 20_000, 0.0, 5.0) == 4
     assert ground.ask(510, 32) == 0
     assert ground.last("MESSAGE_INTERVAL").interval_us == 10_000
     start = ground.t_s
@@ -183,8 +184,8 @@ def test_setpoints_stop_then_failsafe_sinks_lands_and_disarms_and_offboard_is_sh
     assert (beat.custom_mode, beat.system_status) == (POSCTL, 5)
     middle, at = ground.height(), ground.t_s
     ground.run(1.0)
-    assert middle - ground.height() == pytest.approx(0.55, abs=0.02)
-    assert start_height - ground.height() < 0.55 * (ground.t_s - failsafe[0][0]) + 0.05
+    assert middle - ground.height() == pytest.approx(0.6, abs=0.02)
+    assert start_height - ground.height() < 0.6 * (ground.t_s - failsafe[0][0]) + 0.05
     assert at > stopped_at
     ground.run_until(lambda: ground.last("EXTENDED_SYS_STATE").landed_state == 1, 12.0)
     landed_at = ground.t_s
@@ -530,3 +531,35 @@ def test_origins_from_gps_are_off_by_decimetres_and_by_no_more_than_was_seen() -
     assert off[:, 2].max() <= 0.61
     assert off[:, :2].mean() > 0.08
     assert off[:, 2].mean() > 0.1
+
+
+def test_it_lifts_off_when_thrust_has_grown_and_says_so_before_and_says_when_it_lands() -> None:
+    ground = Ground(world())
+    ground.run(2.5)
+    ground.interval("EXTENDED_SYS_STATE", 50)
+    ground.stream = lambda: ground.velocity(vz=-1.0)
+    ground.run(0.1)
+    assert ground.ask(176, 1, 6) == 0
+    assert ground.ask(400, 1) == 0
+    armed_s = ground.t_s
+    ground.run_until(lambda: ground.height() > 0.03, 6.0)
+    assert ground.t_s - armed_s == pytest.approx(3.1, abs=0.25)  # 3.05 s recorded
+    told = [t for t, message in ground.all("STATUSTEXT") if message.text == "Takeoff detected\t"]
+    aloft = [t for t, message in ground.all("EXTENDED_SYS_STATE") if message.landed_state == 2]
+    assert told[0] - armed_s == pytest.approx(1.9, abs=0.1)  # 1.83 to 2.0 s recorded
+    assert aloft[0] - told[0] < 0.05
+    ground.run(3.0)
+    ground.stream = None
+    assert ground.ask(21) == 0
+    ground.run_until(lambda: not ground.world.truth.armed[0], 20.0)
+    words = [text for _, text in ground.texts()]
+    order = ["Takeoff detected\t", "Landing at current position\t", "Landing detected\t", "Disarmed by landing\t"]
+    assert [text for text in words if text in order] == order
+
+
+def test_in_its_own_simulator_it_counts_time_slowly_and_lands_slowly() -> None:
+    ground = Ground(world(profile="px4_sih"))
+    ground.run(5.0)
+    first = ground.last("ATTITUDE").time_boot_ms
+    ground.run(10.0)
+    assert ground.last("ATTITUDE").time_boot_ms - first == pytest.approx(9_870, abs=15)

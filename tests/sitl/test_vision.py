@@ -81,7 +81,7 @@ def test_px4_flies_by_vision_and_descends_when_it_is_lost() -> None:
     ground.run(0.1, both)
     ground.command(176, 1, 6)
     ground.command(400, 1)
-    ground.run(6.0, both)
+    ground.run(8.0, both)
     up[0] = 0.0
     ground.run(2.0, both)
     height = ground.height()

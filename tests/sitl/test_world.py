@@ -101,7 +101,7 @@ def test_smallest_distance_counts_pairs_of_which_one_is_in_the_air_and_every_phy
     for vehicle in (0, 2):
         ground.command(176, 1, 6, vehicle=vehicle)
         ground.command(400, 1, vehicle=vehicle)
-    ground.run(2.5)
+    ground.run(4.0)
     # The second stands 1 m beside the first, which lifts off; the last two stand beside each other and do not count.
     pairs = ground.world.min_distance_airborne_of_pairs_m()
     assert ground.world.min_distance_airborne_m == pairs[0, 1] == pytest.approx(1.0, abs=0.02)
