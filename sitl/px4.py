@@ -47,6 +47,7 @@ CRITICAL, INFO = 2, 6
 WARNING = 4
 _SINK_M_S = 0.6  # 0.55 to 0.65 were seen
 _TOLD_OF_RAMP, _LIFT_OF_RAMP = 0.3, 0.68  # shares of MPC_TKO_RAMP_T after spooling up: 1.9 s and 3.05 s after arming
+_HEARTBEAT_MISSED_NS = round(2.5 * SECOND)  # after the last one: only from there on the link counts as lost
 _SLOW_CHECKS = 5  # what need not be looked at every 20 ms
 _BATTERY_LEVELS = (
     ("BAT_LOW_THR", WARNING, "Low battery level, return advised\t"),
@@ -444,7 +445,7 @@ class Px4(Autopilot):
         mode = {1: LOITER, 2: RTL, 3: LAND}.get(action)
         if mode is None or heard is None or self.landed or self.mode in (mode, *_PREVENT_ARMING):
             return
-        late_ns = now_ns - heard - self.params["COM_DL_LOSS_T"] * SECOND
+        late_ns = now_ns - heard - _HEARTBEAT_MISSED_NS - self.params["COM_DL_LOSS_T"] * SECOND
         if late_ns <= 0:
             return
         if late_ns > self.params["COM_FAIL_ACT_T"] * SECOND or mode == LOITER:

@@ -173,7 +173,8 @@ _GONE = "the ground station may be gone for good"
 class Px4Failsafes(Failsafes):
     """PX4: a lost stream of setpoints (COM_OBL_RC_ACT) holds, a lost ground station (NAV_DLL_ACT) acts later.
 
-    Of two failsafes the stronger one acts, so a return takes over from a hold. COM_FAIL_ACT_T delays it once more.
+    Of two failsafes the stronger one acts, so a return takes over from a hold. COM_FAIL_ACT_T delays it once more, and
+    what PX4 is late by is taken off, so that in a mixed team turns are as far apart as planned.
     """
 
     _LOST = {  # noqa: RUF012 - never written to
@@ -187,6 +188,8 @@ class Px4Failsafes(Failsafes):
     }  # fmt: skip
     _BATTERY = {0: "only warns", 1: "returns", 2: "lands straight down"}  # noqa: RUF012 - never written to
     _ACTION_DELAY_S = 5.0
+    _LATE_S = 3.0  # a heartbeat is missed 2.5 s after the last one, and COM_DL_LOSS_T counts from there: 3 s were seen
+    _LOSS_MIN_S = 5.0  # of COM_DL_LOSS_T
     _LINK_ACTION = {"return": 2, "land": 3, "hold": 1}  # noqa: RUF012 - never written to
 
     def rules(self, wish: Wish) -> tuple[Rule, ...]:
@@ -249,7 +252,9 @@ class Px4Failsafes(Failsafes):
                 Rule(_simple("COM_DL_LOSS_T"), None, "time without a ground station", lambda value: value <= 120.0),
             ]
         action = self._LINK_ACTION[wish.action]
-        after_s = float(round(wish.after_s - self._ACTION_DELAY_S))
+        counted_s = wish.after_s - self._LATE_S
+        after_s = float(max(self._LOSS_MIN_S, round(counted_s - self._ACTION_DELAY_S)))
+        delay_s = float(min(self._ACTION_DELAY_S, max(0, round(counted_s - after_s))))
         why = f"that is what it does when the ground station is gone, and {_GONE}"
         fine = {"return": (2,), "land": (2, 3), "hold": (0, 1)}[wish.action]
         rules = [Rule(_simple("NAV_DLL_ACT"), float(action), why, _one_of(*fine), _not(*fine), self._LINK)]
@@ -259,8 +264,8 @@ class Px4Failsafes(Failsafes):
         rules += [
             Rule(_simple("COM_DL_LOSS_T"), after_s, turn, _near(after_s, _TIME_TOLERANCE_S), _always),
             Rule(
-                _simple("COM_FAIL_ACT_T"), self._ACTION_DELAY_S, f"it delays the return, and {turn}",
-                _near(self._ACTION_DELAY_S, _TIME_TOLERANCE_S), _always,
+                _simple("COM_FAIL_ACT_T"), delay_s, f"it delays the return, and {turn}",
+                _near(delay_s, _TIME_TOLERANCE_S), _always,
             ),
         ]  # fmt: skip
         if wish.action == "land":

@@ -432,7 +432,9 @@ def test_lost_ground_station_counts_only_when_asked_for_and_then_any_heartbeat_d
         ground.run(1.0)
     first = [t for t, m in ground.all("HEARTBEAT") if m.custom_mode == 84148224]
     assert first == []
-    ground.run(10.5)
+    ground.run(12.0)
+    assert ground.last("HEARTBEAT").custom_mode == OFFBOARD  # a heartbeat is missed 2.5 s after the last
+    ground.run(1.5)
     assert ground.last("HEARTBEAT").custom_mode == 50593792  # held for COM_FAIL_ACT_T, 5 s
     ground.run(6.0)
     assert ground.last("HEARTBEAT").custom_mode == 84148224
