@@ -69,7 +69,7 @@ def _lands_here(log: Path) -> Flight:
 
 
 def _lands_all(log: Path) -> Flight:
-    return Flight(pair(), log=log, interrupt_when=says((after(Phase.TAKEOFF, 3.0), "land all")))
+    return Flight(pair(), log=log, interrupt_when=says((after(Phase.TAKEOFF, 5.0), "land all")))
 
 
 def _broken_off(log: Path) -> Flight:
