@@ -163,7 +163,7 @@ def test_a_hold_stands_still_pauses_the_clock_of_the_step_and_goes_on_where_it_w
 
     limits = ("takeoff.timeout_s=12", "steps.0.form.timeout_s=20", "land.timeout_s=14")
     plan = cube8(*limits) if name == "cube8" else pair(*limits)
-    says = _says((after(phase, 4.0 if phase is Phase.TAKEOFF else 0.3), "hold"), (after(Phase.PAUSE, 15.0), "resume"))
+    says = _says((after(phase, 6.0 if phase is Phase.TAKEOFF else 0.3), "hold"), (after(Phase.PAUSE, 15.0), "resume"))
     flight = Watched(plan, seed=2, log=log, interrupt_when=says)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     _safe(flight)

@@ -88,7 +88,7 @@ def _assert_home(flight: Flight) -> None:
 
 
 @pytest.mark.parametrize(
-    ("phase", "for_s"), [(Phase.TAKEOFF, 1.8), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.0)]
+    ("phase", "for_s"), [(Phase.TAKEOFF, 3.2), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.0)]
 )
 def test_a_team_that_was_left_is_brought_home_from_every_phase(phase: Phase, for_s: float, tmp_path: Path) -> None:
     world = _left_in_the_air(four(), still_in(phase, for_s), prepare=_holds)
@@ -302,7 +302,7 @@ def test_one_that_did_not_take_off_from_its_pad_is_left_to_its_failsafe() -> Non
 @pytest.mark.parametrize("name", ["px4_cube8", "mixed8"])
 def test_teams_that_fly_by_gps_find_their_frame_again_in_the_air(name: str, tmp_path: Path) -> None:
     plan = mission(name)
-    world = _left_in_the_air(plan, still_in(Phase.TAKEOFF, 3.0), idle_s=4.0, prepare=_holds)
+    world = _left_in_the_air(plan, still_in(Phase.TAKEOFF, 5.0), idle_s=4.0, prepare=_holds)
     log = tmp_path / "flight.tlog"
     flight = Flight(plan, world=world, take_over=True, log=log)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")

@@ -20,7 +20,7 @@ def _assert_safe(vanished: Vanished) -> None:
 
 
 @pytest.mark.parametrize(
-    ("phase", "seconds"), [(Phase.TAKEOFF, 1.5), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.5)]
+    ("phase", "seconds"), [(Phase.TAKEOFF, 3.2), (Phase.FORM, 1.5), (Phase.HOLD, 2.0), (Phase.RETURN, 1.5)]
 )
 def test_a_cube_of_two_layers_comes_home_one_by_one(phase: Phase, seconds: float) -> None:
     vanished = Vanished(cube8(), after(phase, seconds))
