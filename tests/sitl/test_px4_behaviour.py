@@ -484,7 +484,7 @@ def test_a_failsafe_that_holds_keeps_its_height(name: bytes) -> None:
     if name == b"NAV_RCL_ACT":
         _set_whole(ground, b"COM_RCL_EXCEPT", 0)
     _set_whole(ground, name, 1)
-    ground.run(12.0)
+    ground.run(14.0)
     beat = ground.last("HEARTBEAT")
     assert (beat.custom_mode, beat.system_status) == (LOITER, 5)
     assert (2, "Failsafe activated\t") in ground.texts(since_s=since)
