@@ -1,4 +1,4 @@
-"""How fast the flight path is: dry run against flight time, tick against its period, codec against pymavlink."""
+"""How fast the flight path is: dry run against flight time, tick against its period."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from groundstation.app.emulator import world_config
 from groundstation.app.loop import Interrupts, fly_virtual
@@ -16,7 +15,6 @@ from groundstation.app.opening import open_flight
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
-from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, decode, encode_batch
 from groundstation.mavlink.gate import Gate
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.plan.reading import load_mission
@@ -25,7 +23,6 @@ from groundstation.records.tlog import TlogWriter
 from sitl.world import World
 
 _ROUNDS = 5
-_FRAMES = 4_000
 
 
 class _TimedSession(Session):
@@ -58,33 +55,10 @@ def run(out: Output) -> dict[str, float | int]:
         speed.append(session.runner.figures.ticks * period_s / wall_s)
         tick_median.append(statistics.median(session.tick_s) / period_s)
         tick_worst.append(float(np.quantile(session.tick_s, 0.999)) / period_s)
-    theirs, ours = _codec_seconds()
     return {
         "vehicles": plan.size,
         "rounds": _ROUNDS,
         "dry_run_times_real_time": statistics.median(speed),
         "tick_over_period_median": statistics.median(tick_median),
         "tick_over_period_p999": statistics.median(tick_worst),
-        "codec_times_faster_than_pymavlink": theirs / ours,
     }
-
-
-def _codec_seconds() -> tuple[float, float]:
-    """Seconds to parse the same telemetry, in datagrams of eight frames: pymavlink's parser, and ours."""
-    values = blank("LOCAL_POSITION_NED", _FRAMES)
-    values["x"] = np.arange(_FRAMES)
-    raw = encode_batch("LOCAL_POSITION_NED", values, [Encoder(1)] * _FRAMES)
-    datagrams = [b"".join(raw[k : k + 8]) for k in range(0, _FRAMES, 8)]
-    theirs, ours = [], []
-    for _ in range(_ROUNDS):
-        parser = dialect.MAVLink(None)
-        start = time.perf_counter()
-        for datagram in datagrams:
-            parser.parse_buffer(datagram)
-        theirs.append(time.perf_counter() - start)
-        splitter = FrameSplitter()
-        start = time.perf_counter()
-        for datagram in datagrams:
-            decode([piece for piece in splitter.feed(datagram) if isinstance(piece, Frame)])
-        ours.append(time.perf_counter() - start)
-    return statistics.median(theirs), statistics.median(ours)

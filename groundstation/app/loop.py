@@ -186,6 +186,7 @@ def fly_virtual(
             t_rx_ns = sent.t_ns - sent.t_ns % _MICROSECOND_NS
             session.deliver(int(fleet.link[sent.vehicle_index]), peers[sent.vehicle_index], sent.data, t_rx_ns)
         if not interrupts.apply(session, now_ns):
+            session.settle()
             return
         desk.read_all()
         desk.apply(now_ns)
@@ -283,6 +284,7 @@ def fly_real(
                 continue
             caught_up = False
             if not interrupts.apply(session, now_ns):
+                session.settle()
                 return
             desk.apply(now_ns)
             for link in links:

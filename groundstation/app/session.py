@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from groundstation.mavlink.blocks import Arrivals
 from groundstation.mavlink.codec import Piece, Splitters
 from groundstation.mavlink.gate import Gate, Refused
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.operator import parse_command
 from groundstation.mission.runner import Note, Phase, Runner
 from groundstation.records.tlog import TlogWriter
+
+_FEW = 6  # datagrams
+_BLOCK_BYTES = 16_384  # split at once, so that the work is done while there is time for it
 
 
 class Session:
@@ -41,20 +45,42 @@ class Session:
         self.unlogged = ""
         self.armed_unlogged = False
         self._log = log
+        self._arrivals = Arrivals()
         self._splitters = Splitters()
         self._streams = frozenset(runner.plan.stream_links)
         self._log_problem_told = False
 
     def deliver(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
-        """Takes a datagram from a link."""
+        """Takes a datagram from a link, or the next bytes of a stream; they are in the log with the next tick.
+
+        Datagrams are split together, as a block; streams and what is signed are split piece by piece.
+        """
+        if self.gate is None and link not in self._streams:
+            self._arrivals.add(link, peer, data, t_rx_ns)
+            if self._arrivals.size >= _BLOCK_BYTES:
+                self.settle()
+            return
+        self.settle()
         if self.gate is None:
-            self._admit(link, peer, self._splitters.feed((link, peer), data, stream=link in self._streams), t_rx_ns)
+            self._admit(link, peer, self._splitters.feed((link, peer), data, stream=True), t_rx_ns)
             return
         for piece in self.gate.receive(link, peer, data, t_rx_ns):
             if not isinstance(piece, Refused):
                 self._admit(link, peer, (piece,), t_rx_ns)
             elif self._log is not None:
                 self._log.refused(link, peer, piece.frame, int(piece.verdict), t_rx_ns)
+
+    def settle(self) -> None:
+        """Splits, records and hands on the datagrams that have arrived; a few one by one, which is quicker then."""
+        arrivals = self._arrivals
+        if len(arrivals) < _FEW:
+            for link, peer, data, t_rx_ns in arrivals.datagrams():
+                self._admit(link, peer, self._splitters.feed((link, peer), data, stream=False), t_rx_ns)
+            return
+        block = arrivals.block()
+        if self._log is not None:
+            self._log.took_block(block)
+        self.runner.take_block(block)
 
     def _admit(self, link: int, peer: str, pieces: Sequence[Piece], t_rx_ns: int) -> None:
         if self._log is not None:
@@ -71,6 +97,7 @@ class Session:
             ValueError: it is none, in words for people; nothing happens and nothing is recorded.
         """
         text = parse_command(command, self.runner.fleet.sysid.tolist()).text
+        self.settle()
         if self._log is not None:
             self._log.operator(text, now_ns)
         self.runner.operator(text)
@@ -78,12 +105,14 @@ class Session:
 
     def remark(self, kind: str, text: str, now_ns: int) -> None:
         """Tells people something that the runner need not know; in the log it is an event."""
+        self.settle()
         if self._log is not None:
             self._log.event(f"{kind}: {text}", now_ns)
         self.notes.append(Note(kind, text))
 
     def tick(self, now_ns: int) -> list[Outgoing]:
         """Steps the runner and records what it sends and says."""
+        self.settle()
         before = self.runner.phase
         if self._log is not None:
             self._log.tick(now_ns, self.runner.figures.ticks)
@@ -94,9 +123,7 @@ class Session:
             greetings = self.gate.greetings(now_ns)  # not the runner's, and not in the log: they steer nothing
         notes = self.runner.take_notes()
         if self._log is not None:
-            for datagram in outgoing:
-                for frame in datagram.frames:
-                    self._log.sent(frame, now_ns)
+            self._log.sent_all([frame for datagram in outgoing for frame in datagram.frames], now_ns)
             for note in notes:
                 if note.kind == "roles":
                     self._log.roles(note.roles, now_ns)

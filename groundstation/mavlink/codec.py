@@ -21,6 +21,7 @@ from fastcrc import crc16
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from groundstation.mavlink.checksums import rows_checksum
 from groundstation.mavlink.layouts import (
     Layout,
     StructuredArray,
@@ -43,6 +44,9 @@ from groundstation.mavlink.splitting import (
     whole_frame,
 )
 
+MAVLINK_2 = 2
+_FEW = 40  # messages; fewer are encoded one by one, which is quicker then
+
 __all__ = [
     "INCOMPAT_SIGNED",
     "MAGIC_V1",
@@ -58,6 +62,7 @@ __all__ = [
     "blank",
     "decode",
     "encode_batch",
+    "encode_rows",
     "flagged",
     "layout",
     "message_id",
@@ -120,6 +125,8 @@ def decode(frames: Sequence[Frame]) -> list[Batch]:
         Batches in the order in which their types first appear; rows in the order of the frames. Fields that were
         cut off or, as extensions, never sent read as zeros, as the MAVLink guide defines.
     """
+    if len(frames) == 1:
+        return _decode_lone(frames[0])
     rows: dict[int, list[int]] = {}
     for index, frame in enumerate(frames):
         rows.setdefault(frame.msgid, []).append(index)
@@ -133,13 +140,27 @@ def decode(frames: Sequence[Frame]) -> list[Batch]:
         batches.append(
             Batch(
                 name=known.name,
-                sysid=np.array([frames[i].sysid for i in indices], dtype=np.uint8),
-                compid=np.array([frames[i].compid for i in indices], dtype=np.uint8),
+                sysid=np.frombuffer(bytes([frames[i].sysid for i in indices]), dtype=np.uint8),
+                compid=np.frombuffer(bytes([frames[i].compid for i in indices]), dtype=np.uint8),
                 index=np.array(indices, dtype=np.int64),
                 values=np.frombuffer(joined, dtype=known.dtype),
             )
         )
     return batches
+
+
+_FIRST = np.zeros(1, dtype=np.int64)
+_FIRST.flags.writeable = False
+
+
+def _decode_lone(frame: Frame) -> list[Batch]:
+    """The same for one frame, which is what most calls are about on slow links."""
+    known = layouts_by_id().get(frame.msgid)
+    if known is None:
+        return []
+    payload = frame.payload[: known.size].ljust(known.size, b"\0")
+    names = np.frombuffer(frame.raw, dtype=np.uint8, count=2, offset=5 if frame.version == MAVLINK_2 else 3)
+    return [Batch(known.name, names[:1], names[1:], _FIRST, np.frombuffer(payload, dtype=known.dtype))]
 
 
 @dataclass
@@ -261,6 +282,32 @@ def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]
     shape = layout(name)
     if values.dtype != shape.dtype or len(values) != len(encoders):
         raise ValueError(f"{name}: {len(values)} rows of {values.dtype} for {len(encoders)} encoders")
+    if len(values) >= _FEW and encoders.count(encoders[0]) == len(encoders) and encoders[0].version == MAVLINK_2:
+        return encode_rows(name, values, encoders[0])
     joined = values.tobytes()
     size = shape.size
     return [encoder.frame(shape, joined[k * size : (k + 1) * size]) for k, encoder in enumerate(encoders)]
+
+
+def encode_rows(name: str, values: StructuredArray, encoder: Encoder) -> list[bytes]:
+    """Encodes many messages of one type and one sender in MAVLink 2, all of them in the same few steps."""
+    shape = layout(name)
+    count, size = len(values), shape.size
+    rows = np.zeros((count, HEADER_V2 + size + CRC_BYTES), dtype=np.uint8)
+    rows[:, HEADER_V2 : HEADER_V2 + size] = np.ascontiguousarray(values).view(np.uint8).reshape(count, size)
+    kept = rows[:, HEADER_V2 : HEADER_V2 + size] != 0
+    kept[:, 0] = True  # one byte stays, whatever it is
+    length = size - kept[:, ::-1].argmax(axis=1)
+    rows[:, 0] = MAGIC_V2
+    rows[:, 1] = length
+    rows[:, 4] = np.arange(encoder.seq, encoder.seq + count)
+    rows[:, 5], rows[:, 6] = encoder.sysid, encoder.compid
+    rows[:, 7], rows[:, 8], rows[:, 9] = shape.msgid & 0xFF, shape.msgid >> 8 & 0xFF, shape.msgid >> 16
+    encoder.seq = (encoder.seq + count) & 0xFF
+    checksum = rows_checksum(rows[:, 1 : HEADER_V2 + size], length + (HEADER_V2 - 1), shape.crc_extra)
+    numbers, behind = np.arange(count), length + HEADER_V2
+    rows[numbers, behind] = checksum & 0xFF
+    rows[numbers, behind + 1] = checksum >> 8
+    raw, width = rows.tobytes(), rows.shape[1]
+    starts = range(0, count * width, width)
+    return [raw[start : start + stop] for start, stop in zip(starts, (behind + CRC_BYTES).tolist(), strict=True)]

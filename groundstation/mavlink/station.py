@@ -15,10 +15,11 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
+from groundstation.mavlink.blocks import Block, merge
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, Piece, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.params import ParamDesk, ParamQuestion
-from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame, received_frames
 
 GROUND_STATION_SYSID = 255
 GROUND_STATION_COMPID = 190  # MAV_COMP_ID_MISSIONPLANNER, what ground stations use
@@ -56,7 +57,7 @@ class Station:
         self.bytes_received: Counter[int] = Counter()
         self._start_ns = start_ns
         self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._received: list[ReceivedFrame] = []
+        self._received: list[ReceivedFrame | Block] = []
         self._next_heartbeat_ns = start_ns
         self._next_timesync_ns = self._last_timesync_ns = start_ns
         self._greeted = tuple(greeted)
@@ -83,11 +84,31 @@ class Station:
                 self.bytes_received[link] += len(piece)
                 self.fleet.counts["bytes that were no frame"] += len(piece)
 
+    def take_block(self, block: Block) -> None:
+        """The same for many datagrams."""
+        where = block.datagrams
+        for link in set(where.link.tolist()):
+            self.bytes_received[link] += int(np.diff(where.offsets)[where.link == link].sum())
+        noise = block.noise
+        if noise:
+            self.fleet.counts["bytes that were no frame"] += noise
+        if len(block):
+            self._received.append(block)
+
     def ingest(self) -> None:
-        """Brings the fleet's state up to all that was received."""
+        """Brings the fleet's state up to all that was received, all at once, in whatever pieces it came."""
         received, self._received = self._received, []
-        if received:
-            self.fleet.ingest(received)
+        blocks = [item for item in received if isinstance(item, Block)]
+        if blocks and len(blocks) == len(received):
+            self.fleet.ingest_block(merge(blocks))
+        elif received:
+            frames: list[ReceivedFrame] = []
+            for item in received:
+                if isinstance(item, Block):
+                    frames += received_frames(item)
+                else:
+                    frames.append(item)
+            self.fleet.ingest(frames)
         for ack in self.fleet.take_acks():
             self.commands.acknowledge(ack)
         for value in self.fleet.take_param_values():

@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from groundstation.core.types import FloatArray, IntArray
+from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.codec import Piece
 from groundstation.mavlink.station import Outgoing
 from groundstation.mavlink.vehicle import NEVER
@@ -79,6 +80,10 @@ class Runner(Told):
     def take(self, link: int, peer: str, pieces: Sequence[Piece], t_rx_ns: int) -> None:
         """Takes what was split before; see ``Station.take``."""
         self._team.station.take(link, peer, pieces, t_rx_ns)
+
+    def take_block(self, block: Block) -> None:
+        """Takes many datagrams; see ``Station.take_block``."""
+        self._team.station.take_block(block)
 
     def operator(self, command: str) -> None:
         """Takes a line of the operator, see ``operator.parse_command``; it is acted upon in the next step.

@@ -16,8 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
+
 from groundstation.core.errors import UserError
 from groundstation.core.files import require_regular
+from groundstation.core.types import BoolArray, IntArray
+from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.codec import (
     MAGIC_V1,
     MAGIC_V2,
@@ -109,6 +113,10 @@ class TlogWriter:
         self._notes = Encoder(sysid, compid)
         self._secrets: dict[tuple[int, str], tuple[bytes, int]] = {}
         self._origins: dict[int, tuple[int, str]] = {}
+        self._origins_seen: tuple[object, dict[int, tuple[int, str]]] = (None, {})
+        self._origins_table: IntArray = np.full(256, -1, dtype=np.int64)
+        self._ours: BoolArray = np.zeros((256, 256), dtype=np.bool_)
+        self._ours[compid, sysid] = True
         self._buffer = bytearray()
         self._flushed_ns: int | None = None
         self._closed = False
@@ -153,6 +161,40 @@ class TlogWriter:
                     self._origin(subject, link, peer, t_ns)
                 self._write(piece.raw, t_ns)
 
+    def took_block(self, block: Block) -> None:
+        """The same for many datagrams, as one piece as long as nothing in them needs a note."""
+        if self.problem is not None or self._closed:
+            return
+        origin = self._origin_sources(block)
+        usual = not block.noise and bool((origin[block.sysid] == block.datagrams.source[block.datagram]).all())
+        if not usual or bool(((block.msgid == _SETUP_SIGNING) | self._ours[block.compid, block.sysid]).any()):
+            for link, peer, pieces, t_ns in block.pieces():
+                self.took(link, peer, pieces, t_ns)
+            return
+        count = len(block)
+        if not count:
+            return
+        times_ns = block.datagrams.t_rx_ns
+        if self._flushed_ns is None:
+            self._begin(int(times_ns[0]))
+        stamps = self._epoch_unix_us + times_ns[block.datagram] // 1000
+        records = np.empty(block.size + _STAMP.size * count, dtype=np.uint8)
+        at = (block.start + _STAMP.size * np.arange(count))[:, None] + np.arange(_STAMP.size)
+        frames = np.ones(len(records), dtype=np.bool_)
+        frames[at] = False
+        records[frames] = np.frombuffer(block.data, dtype=np.uint8, count=block.size)
+        records[at] = stamps.astype(">i8").view(np.uint8).reshape(count, _STAMP.size)
+        self._buffer += records.tobytes()
+        self._flush_when_due(int(times_ns[-1]))
+
+    def _origin_sources(self, block: Block) -> IntArray:
+        """Which of a block's sources frames of each system id are known to come from, -1 for none, shape (256,)."""
+        if self._origins_seen[0] is not block.datagrams.sources or self._origins_seen[1] != self._origins:
+            number = {source: k for k, source in enumerate(block.datagrams.sources)}
+            self._origins_seen = (block.datagrams.sources, dict(self._origins))
+            self._origins_table[:] = [number.get(self._origins.get(sysid, (-1, "")), -1) for sysid in range(256)]
+        return self._origins_table
+
     def refused(self, link: int, peer: str, frame: Frame, why: int, t_ns: int) -> None:
         """Records a frame that arrived and was not let in; see ``notes.Refused``."""
         if frame.msgid == _SETUP_SIGNING:
@@ -163,8 +205,13 @@ class TlogWriter:
 
     def sent(self, frame: bytes, t_ns: int) -> None:
         """Records one frame that went out."""
-        if not _SIGNING_HEADER.match(frame):
-            self._write(frame, t_ns)
+        self.sent_all([frame], t_ns)
+
+    def sent_all(self, frames: Sequence[bytes], t_ns: int) -> None:
+        """Records frames that went out at one time."""
+        shown = [frame for frame in frames if not _SIGNING_HEADER.match(frame)]
+        if shown:
+            self._write(self._stamp(t_ns).join(shown), t_ns)
 
     def tick(self, t_ns: int, number: int) -> None:
         """Records the time and the number of a step of the mission object, before the step."""
@@ -249,7 +296,13 @@ class TlogWriter:
             return
         if self._flushed_ns is None:
             self._begin(t_ns)
-        self._buffer += _STAMP.pack(self._epoch_unix_us + t_ns // 1000) + frame
+        self._buffer += self._stamp(t_ns) + frame
+        self._flush_when_due(t_ns)
+
+    def _stamp(self, t_ns: int) -> bytes:
+        return _STAMP.pack(self._epoch_unix_us + t_ns // 1000)
+
+    def _flush_when_due(self, t_ns: int) -> None:
         if t_ns - (self._flushed_ns or 0) >= _FLUSH_NS or len(self._buffer) >= _FLUSH_BYTES:
             self._flushed_ns = t_ns
             self._flush()

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from groundstation.mavlink.kinds import MULTIROTORS, Kind, kind_of, type_words, unflown_words
 from groundstation.mavlink.station import Station
-from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mavlink.vehicle import NEVER, Fleet, ReceivedFrame
 from tests.mavlink.sender import (
     ARDUPILOT,
     ARMED,
@@ -237,6 +237,7 @@ def test_a_kind_is_read_off_heartbeats_only() -> None:
     station = Station(Fleet([3], [0]), 0)
     station.receive(0, HERE, frames[0], SECOND)
     (received,) = station._received
+    assert isinstance(received, ReceivedFrame)
     assert kind_of(received.frame) is None
 
 

@@ -18,6 +18,7 @@ from groundstation.core.errors import UserError
 BENCHES = {
     "avoidance": "groundstation.app.bench_avoidance",
     "flight": "groundstation.app.bench_flight",
+    "codec": "groundstation.app.bench_codec",
     "flood": "groundstation.app.bench_flood",
     "gains": "groundstation.app.bench_gains",
     "hostile": "groundstation.app.bench_hostile",

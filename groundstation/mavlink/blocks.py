@@ -1,0 +1,359 @@
+"""Many datagrams in one buffer, cut into frames and read as columns together: no work in Python for each frame.
+
+Finds exactly what ``FrameSplitter`` finds in each datagram by itself, whatever the bytes are; a test holds them side by
+side. All that may be the begin of a frame is looked at in the same few steps, so that bytes made up to take long do
+not.
+
+Streams, whose frames come in pieces, and links on which signatures are checked go through ``FrameSplitter``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.core.types import BoolArray, IntArray
+from groundstation.mavlink.checksums import ROW, Sums, Words
+from groundstation.mavlink.codec import Batch
+from groundstation.mavlink.layouts import layouts_by_id
+from groundstation.mavlink.splitting import (
+    CRC_BYTES,
+    HEADER_V1,
+    HEADER_V2,
+    INCOMPAT_SIGNED,
+    MAGIC_V2,
+    SIGNATURE_BYTES,
+    Frame,
+    Piece,
+)
+
+_BEHIND = 2 * ROW  # bytes that may be read behind the last one
+_ID_MAX = 0xFFFF
+_SOURCES_MAX = 2_000
+_FAR = np.iinfo(np.int64).max
+
+
+class Datagrams(NamedTuple):
+    """Where datagrams lie in a buffer, whence they came and when.
+
+    Attributes:
+        offsets: where each begins, and where the last one ends, shape (m + 1,).
+        link: where each came in, shape (m,).
+        source: which of ``sources`` it came from, shape (m,).
+        t_rx_ns: when, shape (m,).
+        sources: (link, peer) of all that spoke.
+    """
+
+    offsets: IntArray
+    link: IntArray
+    source: IntArray
+    t_rx_ns: IntArray
+    sources: tuple[tuple[int, str], ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """The frames of some datagrams, in the order of arrival.
+
+    Attributes:
+        data: the bytes of all datagrams, and zeros behind them.
+        size: bytes of the datagrams.
+        start: where each frame begins, shape (k,).
+        stop: where it ends, shape (k,).
+        payload: where its payload begins, shape (k,).
+        payload_size: bytes of it, as sent, shape (k,).
+        msgid: message ids, shape (k,).
+        known: whether the dialect knows them, so that the checksum was tested, shape (k,).
+        seq: sequence numbers, shape (k,).
+        sysid: senders' system ids, shape (k,).
+        compid: their component ids, shape (k,).
+        signed: whether it carries a signature (which nobody has checked), shape (k,).
+        datagram: number of the datagram that it came in, shape (k,).
+        datagrams: what is known of the datagrams.
+    """
+
+    data: bytes
+    size: int
+    start: IntArray
+    stop: IntArray
+    payload: IntArray
+    payload_size: IntArray
+    msgid: IntArray
+    known: BoolArray
+    seq: IntArray
+    sysid: IntArray
+    compid: IntArray
+    signed: BoolArray
+    datagram: IntArray
+    datagrams: Datagrams
+
+    def __len__(self) -> int:
+        """Number of frames, k."""
+        return len(self.start)
+
+    @property
+    def noise(self) -> int:
+        """Bytes that were no frame."""
+        return self.size - int((self.stop - self.start).sum())
+
+    def pieces(self) -> Iterator[tuple[int, str, list[Piece], int]]:
+        """Link, peer, pieces and time of each datagram, as ``FrameSplitter`` gives the pieces; for the careful path."""
+        offsets, data = self.datagrams.offsets.tolist(), self.data
+        first = np.searchsorted(self.datagram, np.arange(len(offsets))).tolist()
+        starts, stops = self.start.tolist(), self.stop.tolist()
+        at = zip(self.datagrams.source.tolist(), self.datagrams.t_rx_ns.tolist(), strict=True)
+        for number, (source, t_rx_ns) in enumerate(at):
+            position, end = offsets[number], offsets[number + 1]
+            pieces: list[Piece] = []
+            for k in range(first[number], first[number + 1]):
+                if position < starts[k]:
+                    pieces.append(data[position : starts[k]])
+                position = stops[k]
+                pieces.append(self._frame(k, data[starts[k] : position]))
+            if position < end:
+                pieces.append(data[position:end])
+            link, peer = self.datagrams.sources[source]
+            yield link, peer, pieces, t_rx_ns
+
+    def _frame(self, k: int, raw: bytes) -> Frame:
+        payload, size = int(self.payload[k]), int(self.payload_size[k])
+        return Frame(
+            int(self.msgid[k]),
+            int(self.sysid[k]),
+            int(self.compid[k]),
+            int(self.seq[k]),
+            self.data[payload : payload + size],
+            raw,
+            2 if raw[0] == MAGIC_V2 else 1,
+            bool(self.signed[k]),
+        )
+
+    def decode(self, wanted: Collection[int] | None = None, among: IntArray | None = None) -> list[Batch]:
+        """Turns frames into columns, one batch for each message type; see ``codec.decode``.
+
+        Args:
+            wanted: ids of the messages that are asked for; None for all that the dialect knows.
+            among: numbers of the frames, ascending, shape (j,); None for all.
+        """
+        msgid = self.msgid if among is None else self.msgid[among]
+        batches = []
+        ids, first = np.unique(np.minimum(msgid, _ID_MAX).astype(np.uint16), return_index=True)
+        known = layouts_by_id()
+        for number in ids[np.argsort(first)].tolist():
+            shape = known.get(number)
+            if shape is None or (wanted is not None and number not in wanted):
+                continue
+            rows = np.flatnonzero(msgid == number)
+            if among is not None:
+                rows = among[rows]
+            values = self._window(shape.size)[self.payload[rows]]
+            size = self.payload_size[rows]
+            least, most = int(size.min()), int(size.max())
+            if least < shape.size:  # the rest was cut off, or never sent: it reads as zeros
+                raw = values.view(np.uint8).reshape(len(rows), shape.size)
+                raw[:, most:] = 0
+                if least < most:
+                    raw[:, least:most][np.arange(least, most) >= size[:, None]] = 0
+            sysid, compid = self.sysid[rows].astype(np.uint8), self.compid[rows].astype(np.uint8)
+            batches.append(Batch(shape.name, sysid, compid, rows, values.view(shape.dtype)))
+        return batches
+
+    def _window(self, size: int) -> NDArray[np.void]:
+        """Pieces of a size that begin at every byte of the buffer; a view."""
+        count = len(self.data) - size + 1
+        return np.ndarray((count,), dtype=f"V{size}", buffer=self.data, strides=(1,))
+
+
+class Arrivals:
+    """Collects datagrams until somebody takes them as a block.
+
+    Attributes:
+        size: bytes so far.
+    """
+
+    def __init__(self) -> None:
+        self.size = 0
+        self._datas: list[bytes] = []
+        self._links: list[int] = []
+        self._sources: list[int] = []
+        self._t_rx_ns: list[int] = []
+        self._number: dict[tuple[int, str], int] = {}
+        self._named: tuple[tuple[int, str], ...] = ()
+
+    def __len__(self) -> int:
+        """Number of datagrams."""
+        return len(self._datas)
+
+    def add(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
+        """Takes one datagram."""
+        self._datas.append(data)
+        self._links.append(link)
+        self._sources.append(self._number.setdefault((link, peer), len(self._number)))
+        self._t_rx_ns.append(t_rx_ns)
+        self.size += len(data)
+
+    def datagrams(self) -> list[tuple[int, str, bytes, int]]:
+        """Hands out the datagrams one by one: link, peer, bytes, time."""
+        sources = list(self._number)
+        taken = [
+            (*sources[source], data, t_ns)
+            for source, data, t_ns in zip(self._sources, self._datas, self._t_rx_ns, strict=True)
+        ]
+        self._clear()
+        return taken
+
+    def block(self) -> Block:
+        """Hands out the datagrams as a block."""
+        offsets = np.zeros(len(self._datas) + 1, dtype=np.int64)
+        np.cumsum([len(data) for data in self._datas], out=offsets[1:])
+        if len(self._named) != len(self._number):
+            self._named = tuple(self._number)
+        columns = [np.array(column, dtype=np.int64) for column in (self._links, self._sources, self._t_rx_ns)]
+        block = split(b"".join(self._datas), Datagrams(offsets, columns[0], columns[1], columns[2], self._named))
+        self._clear()
+        return block
+
+    def _clear(self) -> None:
+        self.size = 0
+        for column in (self._datas, self._links, self._sources, self._t_rx_ns):
+            column.clear()
+        if len(self._number) > _SOURCES_MAX:
+            self._number.clear()
+            self._named = ()
+
+
+def merge(blocks: Sequence[Block]) -> Block:
+    """One block of several; they stand one behind the other."""
+    if len(blocks) == 1:
+        return blocks[0]
+    sizes = np.cumsum([0, *(block.size for block in blocks)]).tolist()
+    counts = np.cumsum([0, *(len(block.datagrams.link) for block in blocks)]).tolist()
+    number: dict[tuple[int, str], int] = {}
+    parts = []
+    for block, before in zip(blocks, sizes, strict=False):
+        item = block.datagrams
+        names = np.array([number.setdefault(name, len(number)) for name in item.sources], dtype=np.int64)
+        parts.append(item._replace(offsets=item.offsets[:-1] + before, source=names[item.source]))
+
+    def joined(name: str, before: Sequence[int] | None = None) -> Any:
+        add = [0] * len(blocks) if before is None else before
+        return np.concatenate(
+            [getattr(block, name) + add[k] if add[k] else getattr(block, name) for k, block in enumerate(blocks)]
+        )
+
+    return Block(
+        b"".join([*(block.data[: block.size] for block in blocks), bytes(_BEHIND)]),
+        sizes[-1],
+        joined("start", sizes),
+        joined("stop", sizes),
+        joined("payload", sizes),
+        joined("payload_size"),
+        joined("msgid"),
+        joined("known"),
+        joined("seq"),
+        joined("sysid"),
+        joined("compid"),
+        joined("signed"),
+        joined("datagram", counts),
+        Datagrams(
+            np.append(np.concatenate([part.offsets for part in parts]), sizes[-1]),
+            np.concatenate([part.link for part in parts]),
+            np.concatenate([part.source for part in parts]),
+            np.concatenate([part.t_rx_ns for part in parts]),
+            tuple(number),
+        ),
+    )
+
+
+def split(data: bytes, datagrams: Datagrams) -> Block:
+    """Finds the frames of datagrams that stand one behind the other."""
+    size = len(data)
+    data += bytes(_BEHIND + -size % ROW)
+    octets = np.frombuffer(data, dtype=np.uint8)
+    words: Words = np.ndarray((len(data) - 1,), dtype="<u2", buffer=data, strides=(1,))
+    longs: IntArray = np.ndarray((size,), dtype="<i8", buffer=data, strides=(1,))
+
+    at = np.flatnonzero(_is_magic(octets[:size]))
+    datagram = np.searchsorted(datagrams.offsets, at, side="right") - 1
+    head = longs[at]
+    second = (head & 0xFF) == MAGIC_V2
+    payload = at + np.where(second, HEADER_V2, HEADER_V1)
+    body_stop = payload + ((head >> 8) & 0xFF)
+    flags = np.where(second, (head >> 16) & 0xFF, 0)
+    stop = body_stop + CRC_BYTES + SIGNATURE_BYTES * (flags & INCOMPAT_SIGNED)
+    limit = datagrams.offsets[datagram + 1]
+    fits = np.flatnonzero((stop <= limit) & (flags <= INCOMPAT_SIGNED))
+    if len(fits) < len(at):
+        at, datagram, head, second, payload, body_stop, flags, stop, limit = (
+            column[fits] for column in (at, datagram, head, second, payload, body_stop, flags, stop, limit)
+        )
+    long_id = ((head >> 56) & 0xFF) | (words[at + 8].astype(np.int64) << 8)
+    msgid = np.where(second, long_id, (head >> 40) & 0xFF)
+
+    extra = _extras()[np.minimum(msgid, _ID_MAX)]
+    known = extra >= 0
+    chosen = known.copy()
+    if len(at):
+        tested = slice(None) if known.all() else np.flatnonzero(known)
+        sums = Sums(octets)
+        made = sums.checksums(at[tested] + 1, body_stop[tested], extra[tested].astype(np.uint16))
+        chosen[tested] = made == words[body_stop[tested]]
+        if not isinstance(tested, slice):
+            unknown = np.flatnonzero(~known)
+            good = np.append(at[chosen], _FAR)
+            follows = (stop[unknown] == limit[unknown]) | _is_magic(octets[stop[unknown]])
+            none_inside = good[np.searchsorted(good, at[unknown], side="right")] >= stop[unknown]
+            chosen[unknown] = follows & none_inside
+    rows = np.flatnonzero(chosen)
+    begins, ends = at[rows], stop[rows]
+    if (begins[1:] < ends[:-1]).any():
+        rows = rows[_one_behind_the_other(begins.tolist(), ends.tolist())]
+        begins, ends = at[rows], stop[rows]
+    names = head[rows] >> np.where(second[rows], 32, 16)
+    return Block(
+        data,
+        size,
+        begins,
+        ends,
+        payload[rows],
+        body_stop[rows] - payload[rows],
+        msgid[rows],
+        known[rows],
+        names & 0xFF,
+        (names >> 8) & 0xFF,
+        (names >> 16) & 0xFF,
+        flags[rows] > 0,
+        datagram[rows],
+        datagrams,
+    )
+
+
+def _is_magic(octets: NDArray[np.uint8]) -> BoolArray:
+    result: BoolArray = (octets - np.uint8(0xFD)) < 2
+    return result
+
+
+def _one_behind_the_other(begins: list[int], ends: list[int]) -> list[int]:
+    """Numbers of those that do not begin inside one that was taken before."""
+    taken, free = [], 0
+    for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        if begin >= free:
+            taken.append(number)
+            free = end
+    return taken
+
+
+@cache
+def _extras() -> NDArray[Any]:
+    """The byte behind the payload by message id, -1 for ids that the dialect does not know."""
+    table = np.full(_ID_MAX + 1, -1, dtype=np.int16)
+    for msgid, shape in layouts_by_id().items():
+        if msgid >= _ID_MAX:
+            raise AssertionError(f"{shape.name}: id {msgid}, room for ids below {_ID_MAX}")
+        table[msgid] = shape.crc_extra
+    return table
