@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.core.types import IntArray
-
 ROW = 256
 """Bytes of a row; buffers given to ``Sums`` have whole rows."""
 _GROUP = 4
@@ -26,6 +24,7 @@ _LONGEST = 272  # bytes that ``rows_checksum`` takes
 _START = 0xFFFF
 _POLYNOMIAL = 0x8408  # reversed
 
+IntArray = NDArray[np.int64]
 Words = NDArray[np.uint16]
 
 
