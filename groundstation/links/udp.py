@@ -24,6 +24,7 @@ from groundstation.mavlink.addresses import parse_address
 _DATAGRAM_MAX = 65_535
 _BURST_MAX = 512  # datagrams taken in one call, whatever their size
 _BUFFER_BYTES = 4 << 20
+_DATAGRAMS_WAITING_MAX = 16_384  # the system counts 256 bytes and more for each that lies in a buffer
 _PEERS_MAX = 1_000
 _Socket = socket.socket  # the link has an attribute of that name
 _STRANGERS_BYTES = 262_144  # of strangers, kept where they share a queue with the vehicles
@@ -47,6 +48,7 @@ class UdpLink:
     _peers: tuple[str, ...] = ()
     _spoken_to: dict[str, None] = field(default_factory=dict)
     _known: frozenset[str] = frozenset()
+    _earlier: deque[tuple[str, bytes]] = field(default_factory=deque)
     _strangers: deque[tuple[str, bytes]] = field(default_factory=deque)
     _strangers_bytes: int = 0
 
@@ -63,43 +65,77 @@ class UdpLink:
 
     @property
     def behind(self) -> bool:
-        """Whether something of strangers waits here."""
-        return bool(self._strangers)
+        """Whether something waits here."""
+        return bool(self._strangers or self._earlier)
 
     def know(self, peers: Collection[str]) -> None:
-        """Those come first from now on."""
+        """Those come first from now on; what they sent before comes before all that they send now."""
+        news = frozenset(peers) - self._known
         self._known = frozenset(peers)
         if self.own is not None:
             steer(self.socket, [self._addresses[peer] for peer in self._known if peer in self._addresses])
+        if not news:
+            return
+        waiting = list(self._strangers)
+        if self.own is not None:  # no more than lay there when the kernel began to sort
+            self._take(self.socket, _BUFFER_BYTES, waiting, _DATAGRAMS_WAITING_MAX)
+        self._strangers.clear()
+        self._strangers_bytes = 0
+        for item in waiting:
+            self._put_aside(item)
+        self._leave_out()
 
     def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
         """Takes what has arrived: (peer as ``host:port``, datagram) each; whoever is known first."""
         arrived: list[tuple[str, bytes]] = []
+        left = self._hand_out(self._earlier, most, arrived)
+        if self._earlier:
+            return arrived
         if self.own is not None:
-            left = self._take(self.own, most, arrived)
-            self._take(self.socket, max(left, 1), arrived)
+            left = self._take(self.own, left, arrived)
+            left = self._hand_out(self._strangers, max(left, 1), arrived)
+            if not self._strangers:
+                self._take(self.socket, max(left, 1), arrived)
             return arrived
         taken: list[tuple[str, bytes]] = []
-        self._take(self.socket, max(most, _STRANGERS_BYTES), taken)
+        self._take(self.socket, max(left, _STRANGERS_BYTES), taken)
         for item in taken:
             if item[0] in self._known:
                 arrived.append(item)
-                most -= len(item[1])
+                left -= len(item[1])
             else:
-                self._strangers.append(item)
-                self._strangers_bytes += len(item[1])
-        while self._strangers and (most > 0 or not arrived):
-            arrived.append(self._strangers.popleft())
-            most -= len(arrived[-1][1])
-            self._strangers_bytes -= len(arrived[-1][1])
-        while self._strangers_bytes > _STRANGERS_BYTES:
-            self._strangers_bytes -= len(self._strangers.popleft()[1])
-            self.errors += 1
+                self._put_aside(item)
+        self._hand_out(self._strangers, left if arrived else max(left, 1), arrived)
+        self._leave_out()
         return arrived
 
-    def _take(self, item: _Socket, most: int, arrived: list[tuple[str, bytes]]) -> int:
+    def _put_aside(self, item: tuple[str, bytes]) -> None:
+        """Keeps a datagram for later."""
+        if item[0] in self._known:
+            self._earlier.append(item)
+        else:
+            self._strangers.append(item)
+            self._strangers_bytes += len(item[1])
+
+    def _hand_out(self, kept: deque[tuple[str, bytes]], most: int, arrived: list[tuple[str, bytes]]) -> int:
+        """Moves what was kept to what has arrived while bytes are left; returns how many are left then."""
+        while kept and most > 0:
+            arrived.append(kept.popleft())
+            most -= len(arrived[-1][1])
+            if kept is self._strangers:
+                self._strangers_bytes -= len(arrived[-1][1])
+        return most
+
+    def _leave_out(self) -> None:
+        """Leaves out what strangers sent and there is no room for, the oldest first."""
+        room = _STRANGERS_BYTES if self.own is None else _BUFFER_BYTES
+        while self._strangers_bytes > room:
+            self._strangers_bytes -= len(self._strangers.popleft()[1])
+            self.errors += 1
+
+    def _take(self, item: _Socket, most: int, arrived: list[tuple[str, bytes]], burst: int = _BURST_MAX) -> int:
         """Takes datagrams from a socket while bytes are left; returns how many are left then."""
-        for _ in range(_BURST_MAX):
+        for _ in range(burst):
             if most <= 0:
                 break
             try:

@@ -120,13 +120,15 @@ def test_a_full_queue_of_strangers_takes_no_room_from_those_that_are_known() -> 
         assert [item for item in arrived if item[0] == peer] == [(peer, b"position")] * 10
 
 
-def test_without_the_kernel_strangers_wait_and_what_is_too_much_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def alone(family: int, where: tuple[str, int]) -> tuple[socket.socket, None]:
-        item = socket.socket(family, socket.SOCK_DGRAM)
-        item.bind(where)
-        return item, None
+def _alone(family: int, where: tuple[str, int]) -> tuple[socket.socket, None]:
+    """A system that cannot tell senders apart."""
+    item = socket.socket(family, socket.SOCK_DGRAM)
+    item.bind(where)
+    return item, None
 
-    monkeypatch.setattr(udp, "open_pair", alone)
+
+def test_without_the_kernel_strangers_wait_and_what_is_too_much_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(udp, "open_pair", _alone)
     monkeypatch.setattr(udp, "_STRANGERS_BYTES", 60_000)
     with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
         peer, arrived = _flooded(link, stack, strangers=200, big=1_000)
@@ -139,6 +141,42 @@ def test_without_the_kernel_strangers_wait_and_what_is_too_much_is_counted(monke
         names = [name == peer for name, _ in taken]
         assert names[0]
         assert link.receive() == []
+
+
+@pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.parametrize("piece", [1, 20, 10_000])
+def test_what_a_vehicle_sent_before_it_was_known_comes_before_what_it_sends_then(
+    piece: int, *, alone: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise old reports come between new ones, as if two vehicles had one name."""
+    if alone:
+        monkeypatch.setattr(udp, "open_pair", _alone)
+    with ExitStack() as stack:
+        link = stack.enter_context(open_udp("udpin://127.0.0.1:0"))
+        vehicles = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(3)]
+        there = ("127.0.0.1", _port_of(link.socket))
+        for vehicle in vehicles:
+            vehicle.bind(("127.0.0.1", 0))
+
+        def send(first: int, last: int) -> None:
+            for number in range(first, last):
+                for vehicle in vehicles:
+                    vehicle.sendto(f"{number}".encode(), there)
+
+        names = [f"127.0.0.1:{_port_of(vehicle)}" for vehicle in vehicles]
+        send(0, 1)
+        heard = [arrived_on(link)]
+        send(1, 30)
+        link.know(names[:1])
+        send(30, 40)
+        heard.append(link.receive(piece))
+        link.know(names[:2])
+        send(40, 50)
+        while len(list(itertools.chain(*heard))) < 150:
+            heard.append(link.receive(piece))
+            assert heard[-1]
+        for name in names:
+            assert [int(data) for peer, data in itertools.chain(*heard) if peer == name] == list(range(50))
 
 
 def test_who_moves_to_another_port_is_heard_there_and_known_then() -> None:
