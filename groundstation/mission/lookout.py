@@ -15,6 +15,8 @@ from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team
 
+_STANDS_M = 1e-3  # by which somebody who stands counts as larger than r: an obstacle
+
 
 class Lookout:
     """Watches one team in the air.
@@ -61,8 +63,10 @@ class Lookout:
         board.wind.enter(team.figures)
         poses = board.obstacles(poses, fleet, pose_ns, roster, now_ns)
         # Nobody stays under a vehicle that comes down.
-        sinking = poses.sinking | (roster.lands_here & fleet.armed) | team.killing.falling(now_ns)
-        return replace(poses, sinking=sinking)
+        sinking = poses.sinking | team.landing.columns() | team.killing.falling(now_ns)
+        # Who stands makes room for nobody.
+        stands = team.landing.standing(now_ns) & (poses.extra_radius_m == 0.0)
+        return replace(poses, sinking=sinking, extra_radius_m=np.where(stands, _STANDS_M, poses.extra_radius_m))
 
     def _act(self, findings: Findings, poses: Poses, now_ns: int) -> None:
         """Gives vehicles other duties, and the mission another phase."""
@@ -70,6 +74,8 @@ class Lookout:
         were = roster.in_formation
         for text in findings.alarms:
             team.verdict.note("alarm", text)
+        for text in findings.failed:
+            team.verdict.abort(text)
         roster.release(findings.release)
         for vehicle in findings.release:
             team.station.commands.clear(vehicle)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from groundstation.core.limits import Fence
-from groundstation.mission.flight.landing import clear_spots
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.operator import OperatorCommand, Order, parse_command
 from groundstation.mission.phases.come_down import SilentPhase
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.table import Event, refusal
-from groundstation.mission.team import PAD_TOLERANCE_M, Team
+from groundstation.mission.team import Team
 from groundstation.mission.timing import vehicle_list
 
 
@@ -85,21 +81,11 @@ class Orders:
 
     def _land_all(self, poses: Poses, now_ns: int) -> None:
         """Everybody lands in place; whoever has somebody below moves aside first."""
-        team, spec = self._team, self._team.plan.spec
-        rest_ned_m = team.rest_ned_m(poses)
+        team = self._team
         team.verdict.abort("landed by the operator")
-        ours = team.roster.waited_for & ~team.board.blind
-        fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
-        # They are called there when within the tolerance.
-        clearance_m = spec.avoidance.activation_m + team.plan.margin_m + team.tolerance_m(PAD_TOLERANCE_M)
-        spots = clear_spots(rest_ned_m, ours, clearance_m, fence.min_team_ned_m, fence.max_team_ned_m)
-        team.formation.gather_at(spots)
-        aside_m = np.linalg.norm((spots - rest_ned_m)[:, :2], axis=1)
-        for vehicle in np.flatnonzero(aside_m > 0.0).tolist():
-            team.verdict.note(
-                "info",
-                f"{team.name(vehicle)}: moves {aside_m[vehicle]:.2f} m aside before it lands; somebody is below",
-            )
+        ours = team.roster.waited_for & ~team.board.blind & team.airborne(now_ns)
+        for news in team.landing.spots.everybody_here(team.rest_ned_m(poses), ours):
+            team.verdict.note("alarm" if news.elsewhere else "info", news.text)
         team.roster.end_climb(team.roster.climbing)
         self._machine.happen(Event.ORDER_LAND, now_ns)
 

@@ -9,7 +9,7 @@ Decides nothing: the runner, the phases and the operator's orders say what becom
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import TypeVar
 
@@ -62,6 +62,7 @@ class Duties:
         self._told_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._killed_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._place_ned_m: FloatArray = places_ned_m.copy()
+        self._elsewhere: BoolArray = np.zeros(n, dtype=np.bool_)
 
     def duty(self, vehicle: int) -> Duty:
         """What one vehicle is to do."""
@@ -139,8 +140,17 @@ class Duties:
 
     @property
     def place_ned_m(self) -> FloatArray:
-        """Where those that land here stay until they are told to, team frame, shape (n, 3)."""
+        """Where those that land here stay until they are told to, and those that were given a place, shape (n, 3)."""
         return _read_only(self._place_ned_m)
+
+    @property
+    def elsewhere(self) -> BoolArray:
+        """Was given a place to land on that is neither its pad nor simply where it is, shape (n,)."""
+        return _read_only(self._elsewhere)
+
+    def places_ned_m(self, others_ned_m: FloatArray) -> FloatArray:
+        """The places of those that have one of their own, and those given for the others, shape (n, 3)."""
+        return np.where((self.lands_here | self._elsewhere)[:, None], self._place_ned_m, others_ned_m)
 
 
 class Roster(Duties):
@@ -187,6 +197,11 @@ class Roster(Duties):
         self._duty[ours] = Duty.LANDS_HERE
         self._lands_since_ns[news] = now_ns
         return news
+
+    def give_place(self, vehicle: int, place_ned_m: Sequence[float]) -> None:
+        """It lands there, team frame, whatever its duty; it flies there at this height."""
+        self._place_ned_m[vehicle] = place_ned_m
+        self._elsewhere[vehicle] = True
 
     def tell_to_land(self, vehicle: int, now_ns: int) -> None:
         """The command to land goes out; the first time counts."""

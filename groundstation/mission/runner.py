@@ -124,7 +124,7 @@ class Runner(Told):
             poses = self._watched(out_of_sight(poses), now_ns)
         # Whatever the monitors do, who has been asked to land is asked until it does.
         if self.phase is Phase.SILENT or (flying and not sightless):
-            self._guarded(now_ns, partial(team.landing.step, now_ns, poses))
+            self._guarded(now_ns, partial(self._bring_down, now_ns, poses))
         velocity_ned_m_s = self._stepped(now_ns, poses, sightless=sightless)
         self._guarded(now_ns, partial(team.killing.step, now_ns))
         return self._transmitted(now_ns, velocity_ned_m_s)
@@ -172,6 +172,17 @@ class Runner(Told):
         except Exception as error:
             self._fault(error, now_ns)
         return poses
+
+    def _bring_down(self, now_ns: int, poses: Poses) -> None:
+        """Asks those to land who may, and tells where they come down."""
+        team, phase = self._team, self.phase
+        coming, silent = phase in (Phase.RETURN, Phase.LAND), phase is Phase.SILENT
+        team.landing.step(now_ns, team.around(poses, coming=coming, silent=silent))
+        for news in team.landing.spots.take_news():
+            if news.elsewhere and not team.roster.lands_here[news.vehicle]:
+                team.verdict.abort(news.text)
+            else:
+                team.verdict.note("alarm", news.text)
 
     def _stepped(self, now_ns: int, poses: Poses, *, sightless: bool) -> FloatArray:
         """Steps the phase; whatever goes wrong there, the vehicles get a setpoint: to stand still."""

@@ -15,7 +15,7 @@ from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.killing import Killing
-from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.flight.team_frame import TeamFrame
@@ -82,7 +82,8 @@ class Team:
         self.helm = Helm(Guide(plan), plan.size)
         self.formation = FormationFlight(plan, self.roster, self.helm, self.verdict.figures, self.verdict.note)
         commands = self.station.commands
-        self.landing = Landing(plan, fleet, commands, self.roster, self.helm.guide.beside_m)
+        distances = landing_distances(plan, self.helm.guide.beside_m, self.tolerance_m(PAD_TOLERANCE_M))
+        self.landing = Landing(plan, fleet, commands, self.roster, distances)
         self.killing = Killing(plan, fleet, commands, self.roster)
         self.apart = Apart(self.helm.guide, plan.size, self.roster, self.landing)
         self.stance = Stance(plan.size)
@@ -128,8 +129,26 @@ class Team:
         return np.asarray(poses.pos_team_ned_m + stopping_s * poses.vel_ned_m_s)
 
     def places_ned_m(self, others_ned_m: FloatArray) -> FloatArray:
-        """The places of those that land where they are, and those given for the others, shape (n, 3)."""
-        return np.where(self.roster.lands_here[:, None], self.roster.place_ned_m, others_ned_m)
+        """The places of those that have one of their own, and those given for the others, shape (n, 3)."""
+        return self.roster.places_ned_m(others_ned_m)
+
+    def around(self, poses: Poses, *, coming: bool, silent: bool) -> Around:
+        """What landing has to know of a tick.
+
+        Args:
+            poses: of the team.
+            coming: everybody is on its way home, or lands.
+            silent: nobody gets setpoints.
+        """
+        board = self.board
+        return Around(
+            poses=poses,
+            home_ned_m=self.formation.gather_ned_m,
+            blind=board.blind,
+            foreign=board.foreign | silent,
+            led=~(self.absent() | silent),
+            coming=self.roster.homeward | coming,
+        )
 
     def too_low_to_hold(self, now_ns: int) -> str | None:
         """Words for a battery that does not allow standing still, None when all do."""

@@ -9,10 +9,11 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core import frames
+from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import Command, CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.guidance import Guide
-from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
@@ -56,9 +57,15 @@ class _Team:
         self.fleet.landed_state[:] = LANDED_ON_GROUND
         self.fleet.landed_state[:2] = IN_AIR
         self.wishes = _Wishes(8)
-        self.landing = Landing(self.plan, self.fleet, self.wishes, enlist(self.plan), Guide(self.plan).beside_m)
+        self.roster = enlist(self.plan)
+        distances = landing_distances(self.plan, Guide(self.plan).beside_m, 0.15)
+        self.landing = Landing(self.plan, self.fleet, self.wishes, self.roster, distances)
         self.landing.want([0, 1], 0)
         self.pos_enu_m = np.array(pads)
+
+    def place_enu_m(self, vehicle: int) -> FloatArray:
+        """The place that a vehicle was given."""
+        return frames.enu_from_ned(self.roster.place_ned_m[vehicle])
 
     def asked(self, now_s: float) -> list[int]:
         """Who is asked to land at this instant."""
@@ -67,19 +74,28 @@ class _Team:
         poses = Poses(frames.ned_from_enu(self.pos_enu_m), np.zeros((8, 3)), still, nobody)
         self.wishes.asked.clear()
         self.fleet.landed_ns[:] = round(now_s * SECOND_NS)
-        self.landing.step(round(now_s * SECOND_NS), poses)
+        home_ned_m = self.plan.pads_enu_m[:, [1, 0, 2]] * [1.0, 1.0, -1.0] - [0.0, 0.0, 0.5]
+        self.landing.step(
+            round(now_s * SECOND_NS),
+            Around(poses, home_ned_m, blind=nobody, foreign=nobody, led=~nobody, coming=~nobody),
+        )
         return [vehicle for vehicle, _ in self.wishes.asked]
 
 
-@pytest.mark.parametrize("towards_m", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("towards_m", [0.0, 0.1, 0.14])
 def test_over_its_pad_or_not_nobody_lands_on_who_is_below(towards_m: float) -> None:
+    """Who is below is asked at once, who is above never, however long it waits: it is given another place."""
     team = _Team(FLAT)
     team.pos_enu_m[:2] = [[towards_m, 0.0, 0.4], [0.56 - towards_m, 0.0, 0.9]]
     beside = 0.56 - 2.0 * towards_m >= 0.45
     assert team.asked(0.0) == ([0, 1] if beside else [0])
-    if not beside:
-        assert team.asked(19.9) == [0]
-        assert team.asked(20.1) == [1]
+    if beside:
+        return
+    asked = [team.asked(0.5 * k) for k in range(1, 200)]
+    assert not any(1 in who for who in asked)
+    assert np.linalg.norm(team.place_enu_m(1)[:2] - [towards_m, 0.0]) >= 0.45
+    team.pos_enu_m[1] = team.place_enu_m(1)
+    assert 1 in team.asked(101.0)
 
 
 def test_who_is_on_the_upper_post_waits_until_the_lower_one_stands() -> None:
@@ -93,14 +109,15 @@ def test_who_is_on_the_upper_post_waits_until_the_lower_one_stands() -> None:
     assert 1 in team.asked(6.0)
 
 
-def test_who_is_on_the_upper_post_has_its_time_from_when_the_lower_one_is_asked() -> None:
+def test_where_somebody_stands_under_a_post_nobody_lands_beside_it() -> None:
     team = _Team(POSTS)
-    # Somebody stands under the lower one, so that it is asked late itself.
     team.pos_enu_m[:3] = [[0.0, 0.0, 0.5], [0.2, 0.0, 1.1], [0.0, 0.3, 0.0]]
-    assert team.asked(0.0) == []
-    assert team.asked(20.1) == [0]
-    assert team.asked(39.9) == [0]
-    assert 1 in team.asked(40.2)
+    assert not [who for k in range(400) for who in team.asked(0.5 * k)]
+    places = np.array([team.place_enu_m(0), team.place_enu_m(1), team.pos_enu_m[2]])[:, :2]
+    apart_m = np.linalg.norm(places[:, None] - places[None], axis=2)[~np.eye(3, dtype=bool)]
+    assert apart_m.min() >= 0.45
+    team.pos_enu_m[:2] = [team.place_enu_m(0), team.place_enu_m(1)]
+    assert team.asked(201.0) == [0, 1]
 
 
 def test_who_flies_below_the_post_that_is_lower_is_waited_for() -> None:

@@ -12,8 +12,9 @@ from groundstation.mavlink.codec import Frame, Splitters, decode
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.climb import Climb
+from groundstation.mission.flight.columns import Distances
 from groundstation.mission.flight.guidance import Guide
-from groundstation.mission.flight.landing import Landing
+from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.arming import Arming
 from groundstation.mission.phases.phase import Phase
@@ -40,6 +41,10 @@ def _armed(plan: MissionPlan) -> tuple[Fleet, CommandQueue]:
     return fleet, CommandQueue(2)
 
 
+def _distances(plan: MissionPlan) -> Distances:
+    return landing_distances(plan, Guide(plan).beside_m, 0.15)
+
+
 def _names(commands: CommandQueue, now_s: float) -> list[str]:
     return [sent.command.name for sent in commands.due(round(now_s * SECOND_NS))]
 
@@ -49,15 +54,17 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
     plan: MissionPlan, *, told: bool
 ) -> None:
     fleet, commands = _armed(plan)
-    landing = Landing(plan, fleet, commands, enlist(plan), Guide(plan).beside_m)
+    landing = Landing(plan, fleet, commands, enlist(plan), _distances(plan))
     landing.want([0], 0)
     still, nobody = np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros(2, dtype=np.bool_)
-    poses = Poses(frames.ned_from_enu(plan.pads_enu_m), np.zeros((2, 3)), still, nobody)
+    pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
+    poses = Poses(pads_ned_m, np.zeros((2, 3)), still, nobody)
+    around = Around(poses, pads_ned_m, blind=nobody, foreign=nobody, led=~nobody, coming=~nobody)
     sent: list[str] = []
     for k in range(100):
         if told:
             fleet.landed_ns[:] = round(0.1 * k * SECOND_NS)
-        landing.step(round(0.1 * k * SECOND_NS), poses)
+        landing.step(round(0.1 * k * SECOND_NS), around)
         sent += _names(commands, 0.1 * k)
     assert set(sent) == ({"disarm"} if told else {"LAND mode"})
 
@@ -65,7 +72,7 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
 def test_a_broken_off_arming_disarms_those_alone_that_tell_that_they_stand(plan: MissionPlan) -> None:
     fleet, commands = _armed(plan)
     fleet.landed_ns[1] = round(OLD_S * SECOND_NS)
-    Landing(plan, fleet, commands, enlist(plan), Guide(plan).beside_m).disarm_on_the_ground(round(OLD_S * SECOND_NS))
+    Landing(plan, fleet, commands, enlist(plan), _distances(plan)).disarm_on_the_ground(round(OLD_S * SECOND_NS))
     assert [commands.pending(0), commands.pending(1)] == [False, True]
 
 
@@ -101,7 +108,7 @@ def test_what_was_asked_before_the_landing_is_not_repeated(plan: MissionPlan) ->
     assert takeoff is not None
     commands.request(0, takeoff)
     assert _names(commands, 0.0) == ["takeoff"]
-    Landing(plan, fleet, commands, enlist(plan), Guide(plan).beside_m).want([0], 0)
+    Landing(plan, fleet, commands, enlist(plan), _distances(plan)).want([0], 0)
     assert _names(commands, 5.0) == []
 
 

@@ -37,6 +37,7 @@ class Apart:
             home_ned_m: the place above each pad, shape (n, 3).
             tolerance_m: how near to it is home.
         """
+        home_ned_m = np.where(self._roster.elsewhere[:, None], self._roster.place_ned_m, home_ned_m)
         near = np.linalg.norm(poses.pos_team_ned_m - home_ned_m, axis=1) < tolerance_m
         arrived = self._home(np.asarray(near & self._roster.homeward), now_ns)
         self._landing.want_here(np.flatnonzero(arrived).tolist(), home_ned_m, now_ns)

@@ -1,8 +1,4 @@
-"""Brings vehicles down, each when nobody is below it, and knows when the whole team is down.
-
-Of two over their own pads, one pad above the other, the lower one lands first.
-
-Landing where they are, a team may hover in layers: whoever has somebody below moves aside first (``clear_spots``).
+"""Brings vehicles down, each on a place that is free (``spots``), and knows when the whole team is down.
 
 A vehicle that nobody has heard from for a while cannot be waited for: it is given up as lost, by name, so that the
 ground station ends and says so. One that reports to stand on the ground and sends no heartbeats is named as well:
@@ -12,25 +8,68 @@ whether it is disarmed is not known.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.core import frames
+from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
+from groundstation.mission.flight.columns import Columns, Distances, Scene
+from groundstation.mission.flight.places import Box
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.spots import Spots
 from groundstation.mission.flight.standing import landed_age_s
-from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
 from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
 _ASK_AGAIN_NS = SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
 _STILL_ARMED_NS = 5 * SECOND_NS  # autopilots disarm by themselves two seconds after landing
-_BLOCKED_MAX_NS = 20 * SECOND_NS
 _LOST_S = 10.0
-_OVER = 0.5  # over its own pad is who is within this share of r, horizontally
+_HURRY = 0.5  # of the battery at which a vehicle lands where it is: it waits for no place any more
+
+
+@dataclass(frozen=True)
+class Around:
+    """What landing has to know of a tick, shape (n,) where nothing else is said.
+
+    Attributes:
+        poses: where everybody is, or was last seen.
+        home_ned_m: where everybody gathers before it lands, shape (n, 3).
+        blind: nobody knows where it is any more.
+        foreign: armed, and does not follow our setpoints at the moment.
+        led: follows them, so that it can be led to another place.
+        coming: on its way home.
+    """
+
+    poses: Poses
+    home_ned_m: FloatArray
+    blind: BoolArray
+    foreign: BoolArray
+    led: BoolArray
+    coming: BoolArray
+
+
+def landing_distances(plan: MissionPlan, beside_m: float, tolerance_m: float) -> Distances:
+    """Distances that landing keeps in a mission."""
+    radius_m = plan.spec.avoidance.radius_m
+    return Distances(
+        radius_m=radius_m,
+        beside_m=beside_m,
+        margin_m=plan.margin_m,
+        wish_m=max(plan.spec.avoidance.activation_m + plan.margin_m, beside_m) + tolerance_m,
+        lost_m=plan.limits.lost_radius_m,
+        tolerance_m=tolerance_m,
+        height_m=beside_m + tolerance_m,
+    )
+
+
+def fence_box(plan: MissionPlan) -> Box:
+    """The inside of a mission's fence, north and east."""
+    fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
+    return Box(fence.min_team_ned_m[:2], fence.max_team_ned_m[:2])
 
 
 class Landing:
@@ -41,17 +80,19 @@ class Landing:
         fleet: their state.
         commands: what is asked goes out by it.
         roster: who lands.
-        beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
+        distances: what is kept; ``landing_distances``.
+
+    Attributes:
+        spots: where everybody comes down.
     """
 
     def __init__(
-        self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster, beside_m: float
+        self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster, distances: Distances
     ) -> None:
         n = plan.size
+        self.spots = Spots(fleet.sysid, roster, Columns(plan.pads_enu_m, distances), fence_box(plan))
         self._plan = plan
         self._roster = roster
-        self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
-        self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._fleet = fleet
         self._commands = commands
         self._landed_age_s = landed_age_s(plan)
@@ -83,16 +124,17 @@ class Landing:
         for vehicle in self._roster.land_here(vehicles, places_ned_m, now_ns):
             self._commands.clear(vehicle)
 
-    def step(self, now_ns: int, poses: Poses) -> None:
+    def step(self, now_ns: int, around: Around) -> None:
         """Asks those to land who shall, and those to disarm who have stood on the ground for long.
 
         Args:
             now_ns: time of the tick.
-            poses: where everybody is.
+            around: where everybody is, and whom we steer.
         """
         fleet, roster = self._fleet, self._roster
         on_ground = fleet.stands(now_ns, self._landed_age_s)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
+        ready = self.spots.step(now_ns, self._scene(around, on_ground))
         for vehicle in np.flatnonzero(roster.lands & fleet.armed).tolist():
             if self._commands.pending(vehicle) or not self._asking.due(vehicle, now_ns):
                 continue
@@ -101,14 +143,44 @@ class Landing:
                 if still_armed[vehicle]:
                     self._commands.request(vehicle, autopilot.disarm())
                     self._asking.asked(vehicle, now_ns)
-            elif not autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
-                below = self._below(vehicle, poses)
-                # Whoever waits for one that waits itself has its time from when that one is asked.
-                since_ns = max(int(roster.lands_since_ns[vehicle]), *roster.told_ns[below].tolist(), NEVER)
-                if not below.any() or now_ns - since_ns >= _BLOCKED_MAX_NS:
-                    self._commands.request(vehicle, autopilot.land())
-                    roster.tell_to_land(vehicle, now_ns)
-                    self._asking.asked(vehicle, now_ns)
+            elif autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
+                roster.tell_to_land(vehicle, now_ns)  # it has begun by itself what was wanted of it
+            elif ready[vehicle] or roster.told_to_land[vehicle]:
+                self._commands.request(vehicle, autopilot.land())
+                roster.tell_to_land(vehicle, now_ns)
+                self._asking.asked(vehicle, now_ns)
+
+    def standing(self, now_ns: int) -> BoolArray:
+        """Vehicles that stand for good, shape (n,): who flies low keeps clear of them, they of nobody."""
+        roster = self._roster
+        stands = self._fleet.stands(now_ns, self._landed_age_s) & (roster.told_to_land | ~roster.ours)
+        return np.asarray(stands | ~self._fleet.armed)
+
+    def columns(self) -> BoolArray:
+        """Vehicles under which nobody may stay: they come down, or are about to, beside the pads, shape (n,)."""
+        roster = self._roster
+        return np.asarray((roster.lands_here | (roster.told_to_land & roster.elsewhere)) & self._fleet.armed)
+
+    def _scene(self, around: Around, on_ground: BoolArray) -> Scene:
+        """What ``spots`` sees of the team."""
+        fleet, roster, autopilots = self._fleet, self._roster, self._plan.autopilots
+        modes = fleet.custom_mode.tolist()
+        lands: BoolArray = np.array([a.is_landing_mode(mode) for a, mode in zip(autopilots, modes, strict=True)])
+        down = on_ground | ~fleet.armed
+        sinks = (roster.told_to_land | lands) & ~down & ~around.blind
+        loose = ~(around.led | down | around.blind | sinks) & (~roster.ours | around.foreign)
+        return Scene(
+            pos_ned_m=around.poses.pos_team_ned_m,
+            home_ned_m=around.home_ned_m,
+            down=down,
+            sinks=sinks,
+            lost=around.blind & ~down,
+            loose=loose,
+            led=around.led & ~sinks,
+            wanted=roster.lands & ~down,
+            coming=around.coming & roster.ours,
+            hurries=np.asarray(fleet.battery_remaining < _HURRY * self._plan.limits.battery_land),
+        )
 
     def disarm_on_the_ground(self, now_ns: int) -> None:
         """Tells everybody who stands to disarm, armed or not; for an arming that is broken off before takeoff.
@@ -173,62 +245,3 @@ class Landing:
                 f" fly again with --take-over (there, kill {sysid} stops its motors: it falls)"
             )
         return f"vehicle {sysid}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"
-
-    def _below(self, vehicle: int, poses: Poses) -> BoolArray:
-        """Who stands or hovers where this vehicle would come down, shape (n,).
-
-        Of two over their own pads, one pad above the other, the pads say more than two positions: the upper vehicle
-        waits until the lower one stands, the lower one for nobody who is higher than itself.
-        """
-        radius_m = self._plan.spec.avoidance.radius_m
-        away = poses.pos_team_ned_m - poses.pos_team_ned_m[vehicle]
-        beside = np.hypot(away[:, 0], away[:, 1]) >= radius_m
-        below = ~(beside | (away[:, 2] < -radius_m))
-        off_pads = poses.pos_team_ned_m - self._pads_ned_m
-        over_pad = np.hypot(off_pads[:, 0], off_pads[:, 1]) < _OVER * radius_m
-        if over_pad[vehicle]:
-            stands = self._fleet.landed_state == LANDED_ON_GROUND
-            below = np.where(over_pad & self._pads_above[:, vehicle], ~stands, below)
-            below = np.where(over_pad & self._pads_above[vehicle], ~stands & ~(away[:, 2] < 0.0), below)
-        below[vehicle] = False
-        return np.asarray(below, dtype=np.bool_)
-
-
-_RING_SHARE, _RINGS, _BEARINGS = 0.25, 80, 24
-
-
-def clear_spots(
-    pos_team_ned_m: FloatArray, movable: BoolArray, clearance_m: float, low_ned_m: FloatArray, high_ned_m: FloatArray
-) -> FloatArray:
-    """Where everybody can come straight down at once: nobody above or below anybody.
-
-    The lowest keep their places, those above move sideways at their own height, by as little as is free.
-
-    Args:
-        pos_team_ned_m: where the vehicles are, shape (n, 3).
-        movable: those that can be told to move, shape (n,); the places of the others are taken.
-        clearance_m: horizontal distance that has to be between any two.
-        low_ned_m: corner of the fence, shape (3,).
-        high_ned_m: the other corner, shape (3,).
-
-    Returns:
-        Shape (n, 3). A vehicle for which the fence holds no free place keeps its own.
-    """
-    spots = pos_team_ned_m.copy()
-    taken = [pos_team_ned_m[i, :2] for i in np.flatnonzero(~movable & np.isfinite(pos_team_ned_m).all(axis=1))]
-    radii_m = _RING_SHARE * clearance_m * np.arange(1, _RINGS + 1)
-    bearings = np.linspace(0.0, 2.0 * np.pi, _BEARINGS, endpoint=False)
-    rings = radii_m[:, None, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
-    around = np.concatenate([np.zeros((1, 2)), rings.reshape(-1, 2)])
-    lowest_first = sorted(np.flatnonzero(movable).tolist(), key=lambda i: -float(pos_team_ned_m[i, 2]))
-    for vehicle in lowest_first:
-        places = pos_team_ned_m[vehicle, :2] + around
-        inside = ((places >= low_ned_m[:2]) & (places <= high_ned_m[:2])).all(axis=1)
-        inside[0] = True  # where it is
-        for other in taken:
-            inside &= np.hypot(*(places - other).T) >= clearance_m
-        free = np.flatnonzero(inside)
-        if len(free):
-            spots[vehicle, :2] = places[free[0]]
-        taken.append(spots[vehicle, :2])
-    return spots

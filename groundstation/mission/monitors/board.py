@@ -15,6 +15,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.contradictions import Contradictions
+from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
@@ -32,6 +33,7 @@ _CONSEQUENCES = {
     Reaction.LAND: "it lands where it is when nobody is below",
     Reaction.RELEASE: "it is released and not fought over",
     Reaction.ALL_HOME: "everybody comes back",
+    Reaction.FAILED: "",
     Reaction.SILENCE: "setpoints end, the autopilots' own failsafe takes over",
 }
 _SEVERAL_LAND = "they land where they are when nobody is below"
@@ -54,8 +56,8 @@ class Board:
         self._contradictions = Contradictions(plan)
         self._monitors: tuple[Monitor, ...] = (
             self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
-            BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan), self._modes,
-            LateTicks(plan), self._contradictions,
+            BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan),
+            Descents(plan, self.wind), self._modes, LateTicks(plan), self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
@@ -156,6 +158,9 @@ class Board:
         text = (f"{subject}: " if subject else "") + finding.what + (f"; {consequence}" if consequence else "")
         findings.alarms.append(text)
         if reaction in (Reaction.SAY, Reaction.HOLD):
+            return
+        if reaction is Reaction.FAILED:
+            findings.failed.append(text)
             return
         if reaction is Reaction.SILENCE:
             findings.silence = text

@@ -29,6 +29,8 @@ class Reaction(Enum):
     """This vehicle is no longer ours: no setpoint, no command."""
     ALL_HOME = "all home"
     """Everybody comes back and lands."""
+    FAILED = "failed"
+    """Nothing can be done for this vehicle any more; the mission is not completed."""
     SILENCE = "silence"
     """Setpoints stop; the autopilots' own failsafe acts."""
 
@@ -105,6 +107,7 @@ class Findings:
         home: vehicles that shall come back and land.
         land: vehicles that shall land where they are, as soon as nobody is below.
         release: vehicles that are no longer ours; no setpoint, no command.
+        failed: why the mission is not completed, though nothing can be done about it.
         gone: why somebody is no longer part of the formation while the mission goes on.
         aborts: why the team shall come back, by subject (``vehicle 3``), the first for each; empty when it need not.
         urgent: the team shall come back even from an operator's hold.
@@ -115,6 +118,7 @@ class Findings:
     home: list[int] = field(default_factory=list)
     land: list[int] = field(default_factory=list)
     release: list[int] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
     gone: list[str] = field(default_factory=list)
     aborts: dict[str, str] = field(default_factory=dict)
     urgent: bool = False

@@ -14,7 +14,7 @@ from groundstation.mission.phases.on_the_ground import ArmPhase
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
-from groundstation.mission.team import PAD_TOLERANCE_M, Team
+from groundstation.mission.team import Team
 from groundstation.mission.timing import SECOND_NS, Held, vehicle_list
 
 _DISARMED_NS = 5 * SECOND_NS // 2  # two heartbeats that say so
@@ -82,26 +82,25 @@ class LandPhase(_ComingDown):
 
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
-        self._in_place = entry.event is Event.ORDER_LAND and team.stance.flies
         self._arming: Arming | None = entry.before.arming if isinstance(entry.before, ArmPhase) else None
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Lets those land that are where they should."""
-        team, gather_ned_m = self._team, self._team.formation.gather_ned_m
+        team = self._team
         if not team.stance.flies:
             anew = self._arming.started_anew() if self._arming is not None else None
             if anew is not None:  # a vehicle tells it seconds after it has fallen silent
                 team.verdict.abort(anew)
             team.landing.disarm_on_the_ground(now_ns)
         else:
-            aside_m = np.linalg.norm((poses.pos_team_ned_m - gather_ned_m)[:, :2], axis=1)
-            waits = self._in_place & (aside_m >= team.tolerance_m(PAD_TOLERANCE_M))
-            waits &= now_ns - self.since_ns < team.plan.spec.land.timeout_s * SECOND_NS
-            team.landing.want(np.flatnonzero(~waits).tolist(), now_ns)
+            team.landing.want(range(team.plan.size), now_ns)
         event = Event.DOWN if self._over(now_ns) else None
         if not team.roster.follows.any():
             return Step(event=event)  # the autopilots land by themselves, nobody is left to be steered
-        return Step(team.helm.to_targets(poses, team.places_ned_m(gather_ned_m)).vel_ned_m_s, event)
+        places_ned_m = team.places_ned_m(team.formation.gather_ned_m)
+        if team.roster.elsewhere.any():  # some have a way to go, and others may be in it
+            return Step(team.formation.fly_home(poses, team.absent(), places_ned_m), event)
+        return Step(team.helm.to_targets(poses, places_ned_m).vel_ned_m_s, event)
 
 
 class SilentPhase(_ComingDown):

@@ -29,8 +29,9 @@ class ReturnPhase(PhaseState):
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Flies home."""
-        team, gather_ned_m = self._team, self._team.formation.gather_ned_m
-        offset_m = np.linalg.norm(poses.pos_team_ned_m - gather_ned_m, axis=1)
+        team = self._team
+        places_ned_m = team.places_ned_m(team.formation.gather_ned_m)
+        offset_m = np.linalg.norm(poses.pos_team_ned_m - places_ned_m, axis=1)
         away = (offset_m >= team.tolerance_m(PAD_TOLERANCE_M)) & team.fleet.armed
         away &= team.roster.waited_for & ~(team.board.blind | team.landing.lost(now_ns))
         event = None
@@ -48,4 +49,4 @@ class ReturnPhase(PhaseState):
             else:  # who lands elsewhere has not completed its mission
                 team.verdict.abort(text)
             event = Event.BACK
-        return Step(team.formation.fly_home(poses, team.absent(), team.places_ned_m(gather_ned_m)), event)
+        return Step(team.formation.fly_home(poses, team.absent(), places_ned_m), event)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
@@ -65,4 +67,6 @@ class PausePhase(PhaseState):
             event = Event.GIVE_UP_NOW
         elif not (team.roster.waited_for & team.fleet.armed).any():
             event = Event.NOBODY_LEFT
-        return Step(team.helm.to_targets(poses, team.places_ned_m(self._rest_ned_m)).vel_ned_m_s, event)
+        # Who was on its way to a place of its own stands still like all others.
+        places_ned_m = np.where(team.roster.lands_here[:, None], team.roster.place_ned_m, self._rest_ned_m)
+        return Step(team.helm.to_targets(poses, places_ned_m).vel_ned_m_s, event)

@@ -1,0 +1,146 @@
+"""Whole flights in which somebody stands, or lands, where another one would come down: by the emulator's truth.
+
+The distance is taken here, at every physics step, over all pairs of which at least one is in the air.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.core.types import FloatArray
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.plan.plan import MissionPlan
+from sitl.faults import Fault
+from sitl.world import World
+from tests.app.flights import Flight, after, cube8, pair
+
+MOVED = "steps=[{form: {tolerance_m: 0.05, timeout_s: 60}}, {move: {by_m: [-0.375, -0.375, 0]}}, {hold: {seconds: 5}}]"
+
+
+class Truth:
+    """Nearest any two vehicles came, one of them at least in the air, and how hard anybody hit the ground."""
+
+    def __init__(self) -> None:
+        self.apart_m: FloatArray = np.zeros((0, 0))
+        self.hit_m_s = 0.0
+
+    def watch(self, world: World) -> None:
+        dynamics, step = world.dynamics, world.dynamics.step
+        itself = np.eye(world.n, dtype=bool)
+        self.apart_m = np.full((world.n, world.n), np.inf)
+
+        def watched() -> None:
+            flew, sank_m_s = dynamics.airborne(), -dynamics.vel_enu_m_s[2]
+            step()
+            up, places = dynamics.airborne(), dynamics.pos_enu_m.T
+            self.hit_m_s = max(self.hit_m_s, float(sank_m_s[flew & ~up].max(initial=0.0)))
+            if up.any():
+                apart_m = np.linalg.norm(places[:, None] - places[None], axis=2)
+                counts = (up[:, None] | up[None]) & ~itself
+                self.apart_m = np.minimum(self.apart_m, np.where(counts, apart_m, np.inf))
+
+        dynamics.step = watched  # type: ignore[method-assign]
+
+
+def _fly(
+    plan: MissionPlan,
+    *,
+    seed: int = 1,
+    says: tuple[Callable[[Flight], bool], str] | None = None,
+    faults: tuple[Fault, ...] = (),
+    strike: Callable[[Flight], None] | None = None,
+) -> tuple[Flight, Truth]:
+    truth, said = Truth(), list[int]()
+
+    def look(flight: Flight) -> bool:
+        if says is not None and not said and says[0](flight):
+            said.append(flight.now_ns)
+            flight.session.operator(says[1], flight.now_ns)
+        if strike is not None:
+            strike(flight)
+        return False
+
+    flight = Flight(
+        plan,
+        seed=seed,
+        interrupt_when=look,
+        change=lambda config: replace(config, faults=faults),
+        prepare=truth.watch,
+    )
+    assert not flight.world.truth.airborne.any()
+    assert flight.runner.outcome == "aborted"
+    return flight, truth
+
+
+def _empty(vehicle: int, at_s: float) -> Fault:
+    return Fault("battery_level", at_s, vehicles=(vehicle,), numbers={"percent": 5.0})
+
+
+@pytest.mark.parametrize(("plan", "vehicle"), [(cube8(MOVED), 2), (cube8(), 7)], ids=["moved", "packaged"])
+def test_nobody_is_landed_on_one_that_goes_home_below_it(plan: MissionPlan, vehicle: int) -> None:
+    flight, truth = _fly(plan, says=(after(Phase.HOLD, 0.5), f"land {vehicle}"))
+    assert truth.apart_m.min() >= plan.spec.avoidance.radius_m
+    assert [text for text in flight.texts("alarm") if text.startswith(f"vehicle {vehicle}: lands ")]
+
+
+@pytest.mark.parametrize(
+    ("plan", "seed", "faults"),
+    [(cube8(MOVED), 1, (_empty(2, 19.0),)), (cube8(), 8, (_empty(2, 15.0), _empty(7, 15.0)))],
+    ids=["one", "two"],
+)
+def test_nobody_comes_home_onto_one_that_has_landed_there_with_an_empty_battery(
+    plan: MissionPlan, seed: int, faults: tuple[Fault, ...]
+) -> None:
+    """PX4 lands by itself at 5 %, at once: who hovers below has the time of its fall to leave, and loses some room."""
+    flight, truth = _fly(plan, seed=seed, faults=faults)
+    by_itself = [vehicle - 1 for fault in faults for vehicle in fault.vehicles]
+    others = np.delete(np.delete(truth.apart_m, by_itself, axis=0), by_itself, axis=1)
+    assert others.min() >= plan.spec.avoidance.radius_m
+    assert truth.apart_m.min() >= 0.97 * plan.spec.avoidance.radius_m
+    assert "where it would have landed" in flight.runner.reason
+    places = flight.world.truth.pos_enu_m[:, :2]
+    apart_m = np.linalg.norm(places[:, None] - places[None], axis=2)[~np.eye(8, dtype=bool)]
+    assert apart_m.min() >= plan.spec.avoidance.radius_m
+
+
+def test_four_in_a_column_land_on_their_pads_where_the_fence_has_no_place_for_all(tmp_path: Path) -> None:
+    points = [[0.0, 0.0, 0.0], [0.02, 0.0, 0.6], [0.0, 0.02, 1.2], [0.02, 0.02, 1.8]]
+    (tmp_path / "column.yaml").write_text(json.dumps({"name": "column", "points": points, "edges": "complete"}))
+    pads = [[-0.4, -0.4, 0.0], [0.4, -0.4, 0.0], [-0.4, 0.4, 0.0], [0.4, 0.4, 0.0]]
+    vehicles = [{"id": k + 1, "link": "udpin://127.0.0.1:14540", "pad_m": pad} for k, pad in enumerate(pads)]
+    plan = cube8(
+        f"formation={tmp_path / 'column.yaml'}",
+        "gains=null",
+        f"vehicles={json.dumps(vehicles)}",
+        "fence.min_m=[-0.5, -0.5, 0]",
+        "fence.max_m=[0.5, 0.5, 4]",
+        "failsafe.action=hold",
+        "steps.0.form.tolerance_m=0.2",
+    )
+    flight, truth = _fly(plan, says=(after(Phase.HOLD, 0.5), "land all"))
+    assert truth.apart_m.min() >= plan.spec.avoidance.radius_m
+    told = [text for text in flight.texts("alarm") if "the fence holds no place for everybody" in text]
+    assert len(told) == 4
+    off_pad_m = np.linalg.norm(flight.world.truth.pos_enu_m[:, :2] - plan.pads_enu_m[:, :2], axis=1)
+    assert off_pad_m.max() < 0.2
+
+
+@pytest.mark.parametrize(("vehicle", "after_s"), [(1, 1.0), (1, 4.0), (2, 1.0)])
+def test_a_motor_that_fails_while_landing_is_told_and_the_mission_not_completed(vehicle: int, after_s: float) -> None:
+    struck: list[int] = []
+    lands = after(Phase.LAND, after_s)
+
+    def strike(flight: Flight) -> None:
+        if lands(flight) and not struck:
+            struck.append(flight.now_ns)
+            flight.world.inject(Fault("motor_failure", vehicles=(vehicle,), numbers={"thrust_share": 0.6}))
+
+    flight, truth = _fly(pair("steps.1.hold.seconds=1"), strike=strike)
+    assert truth.hit_m_s > 1.5
+    assert f"vehicle {vehicle}: is tilted by " in flight.runner.reason
