@@ -154,6 +154,7 @@ def test_one_that_nobody_hears_is_named_and_the_others_come_home() -> None:
     flight = Flight(four(), world=world, take_over=True, tamper=mute)
     assert flight.runner.outcome == "aborted"
     assert "vehicle 2: not heard, where it is is not known" in flight.runner.reason
+    assert "fault in the ground station" not in flight.runner.reason
     truth = flight.world.truth
     assert truth.armed.tolist() == [False, True, False, False]
     assert np.delete(_off_pads_m(flight), 1).max() < 0.3

@@ -78,9 +78,11 @@ class Wind:
         passed_s = min((sight.now_ns - self._last_ns) / SECOND_NS, 0.2)
         self._last_ns = sight.now_ns
         counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind & self._leans
-        down_ned = frames.rotate(
-            frames.rot_ned_from_frd(sight.fleet.quat_ned_from_frd), np.tile([0.0, 0.0, 1.0], (len(ours), 1))
-        )
+        quat = sight.fleet.quat_ned_from_frd
+        leans = np.asarray(np.isfinite(quat).all(axis=1))  # who was never heard has no attitude
+        counts &= leans
+        level = np.where(leans[:, None], quat, np.array([1.0, 0.0, 0.0, 0.0]))
+        down_ned = frames.rotate(frames.rot_ned_from_frd(level), np.tile([0.0, 0.0, 1.0], (len(ours), 1)))
         self.estimate.step(passed_s, sight.vel_ned_m_s, down_ned, sight.sent_ned_m_s, counts)
         mean_m_s, gust_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s)), self.estimate.gust_m_s
         limit = self._limit

@@ -260,7 +260,7 @@ def out_of_sight(poses: Poses) -> Poses:
     known = np.asarray(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
     if known.all():
         return poses
-    far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([0.0, 0.0, 1.0])
+    far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([1.0, 0.0, 1.0])  # under nobody
     return replace(
         poses,
         pos_team_ned_m=np.where(known[:, None], poses.pos_team_ned_m, far),
