@@ -161,7 +161,7 @@ def formation_control(
         control_gain: k > 0, multiplies everything (Theorem 2 allows it, lag demands it).
         lead_s: 0 for the paper's law. Above 0, q_ij is replaced by q_ij + lead_s * q_ij': for a vehicle whose
             velocity follows with a first-order lag of lead_s that is where it would come to rest, and it obeys (1)
-            exactly, so that k need not pay for the lag (docs/avoidance.md). An unknown velocity counts as no motion.
+            exactly, so that k need not pay for the lag (docs/avoidance-why.md). An unknown velocity counts as rest.
         upright_1_s: 0 for the paper's law. Above 0, upright_1_s times (z_ij - z*_ij) is added to the vertical sum. It
             vanishes in the formation and pulls towards it, right side up. Without it a team that starts level stays
             level until noise tips it, and half of the time it then forms upside down, which has all distances

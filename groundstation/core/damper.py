@@ -7,7 +7,7 @@ For each near agent j the commanded velocity of i along the line to it is bounde
 n_ij the unit vector from i to j, d_ij their distance and d_ij' its rate as measured. d + T d' is the distance that
 would remain if both stopped now: what is already moving counts, not only what is commanded. All bounds of an agent
 are met together by the smallest change of its velocity (a projection onto a convex polyhedron, solved exactly).
-A negative h commands the pair apart. The argument, with its assumptions, stands in docs/avoidance.md.
+A negative h commands the pair apart. The argument, with its assumptions, stands in docs/avoidance-why.md.
 
 Around an upright region (`regions`) the same stands for its distance, with the gradient of that in place of n: any
 distance that is convex and grows no faster than an agent moves will do.

@@ -5,7 +5,7 @@ down than to the sides. Both stand upright in the world, so an agent needs to kn
 
 Two measures belong to a shape. Its clearance is its own norm: below 1 inside, 1 on the surface, above 1 outside. Its
 distance is a length: negative inside, 0 on the surface, never growing faster than an agent moves, and convex. The
-damper keeps the distance above 0 and its argument rests on these properties (docs/avoidance.md).
+damper keeps the distance above 0 and its argument rests on these properties (docs/avoidance-why.md).
 
 Refuses sizes that are not positive, and regions that contain their own activation distance.
 """

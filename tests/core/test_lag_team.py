@@ -1,6 +1,6 @@
 """The chain of views, control, avoidance, damper and limits on vehicles that lag: it forms, and nobody comes too near.
 
-Figures of larger campaigns stand in docs/avoidance.md.
+Figures of larger campaigns stand in docs/avoidance-measured.md.
 """
 
 from __future__ import annotations

@@ -188,8 +188,8 @@ def test_a_tolerance_that_wandering_vehicles_cannot_keep_is_refused_and_the_one_
 
 
 def _rows(heading: str) -> list[list[str]]:
-    """Cells of the table of docs/avoidance.md that has this heading."""
-    lines = (Path(__file__).parents[2] / "docs" / "avoidance.md").read_text(encoding="utf-8").splitlines()
+    """Cells of the table of docs/avoidance-why.md that has this heading."""
+    lines = (Path(__file__).parents[2] / "docs" / "avoidance-why.md").read_text(encoding="utf-8").splitlines()
     start = next(number for number, line in enumerate(lines) if line.startswith(heading))
     rows = itertools.takewhile(lambda line: line.startswith("|"), lines[start + 2 :])
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
