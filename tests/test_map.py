@@ -36,6 +36,22 @@ def test_places_on_the_map_exist(page: str) -> None:
         assert ((_ROOT / page).parent / link).is_file(), f"{page}: {link}"
 
 
+_QUOTED = (
+    ("`vel_ned_m_s = apply_limits(...)`", "flight/guidance.py", "        vel_ned_m_s = apply_limits("),
+    ("`REFUSED`", "phases/table.py", "\nREFUSED: "),
+    ("`blind`", "monitors/board.py", "        self.blind: "),
+    ("`_monitors`", "monitors/board.py", "        self._monitors: "),
+    ("its tag in `Step`", "plan/schema.py", "\nStep = Annotated["),
+)
+"""What the map quotes of a file of the mission package, and how it stands there."""
+
+
+@pytest.mark.parametrize(("quoted", "path", "written"), _QUOTED)
+def test_what_the_map_quotes_stands_there(quoted: str, path: str, written: str) -> None:
+    assert quoted in (_ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    assert (_ROOT / "groundstation/mission" / path).read_text(encoding="utf-8").count(written) == 1
+
+
 def test_the_map_names_the_way_of_a_packet_and_every_room() -> None:
     text = (_ROOT / "docs/architecture.md").read_text(encoding="utf-8")
     assert len(_PLACE.findall(text)) > 40
