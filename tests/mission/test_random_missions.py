@@ -138,8 +138,9 @@ def test_a_mission_is_refused_in_words_or_has_nothing_but_figures(
         assert " nan" not in words
         assert " inf " not in words
         return
-    limits = ("pose_jump_m", "tracking_m_s", "frame_drift_m", "pad_error_m", "slowness", "lost_radius_m")
-    figures = _figures("plan", plan) | {name: getattr(plan, name) for name in limits}
+    limits = ("pose_jump_m", "tracking_m_s", "frame_drift_m", "pad_error_m", "lost_radius_m")
+    figures = _figures("plan", plan) | {name: getattr(plan.limits, name) for name in limits}
+    figures["slowness"] = plan.slowness
     for name, value in figures.items():
         if not name.endswith("limit_bytes_s"):  # where a link has none
             assert np.isfinite(value).all(), name
