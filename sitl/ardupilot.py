@@ -7,13 +7,15 @@ nobody is there to move them.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from groundstation.mavlink.codec import Frame, message_name
-from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot
+from sitl.autopilot import IN_AIR, LANDED, LANDING, TAKING_OFF, Autopilot
+from sitl.body import Body
+from sitl.config import SECOND, Boot, VehicleConfig
 from sitl.frames import is_place
 from sitl.messages import MAKERS
-from sitl.params import ardupilot_params
+from sitl.params_ardupilot import ardupilot_params
 from sitl.protocol import (
     ACCEPTED,
     DENIED,
@@ -30,9 +32,6 @@ from sitl.protocol import (
 from sitl.setpoints import NOTHING, Setpoint, read_ardupilot
 from sitl.vision import LOCAL_FRD, Vision
 from sitl.wire import Fields, whole
-
-if TYPE_CHECKING:
-    from sitl.world import VehicleConfig, World
 
 STABILIZE, ACRO, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, CIRCLE = range(8)
 LAND, POSHOLD, BRAKE, GUIDED_NOGPS, SMART_RTL = 9, 16, 17, 20, 21
@@ -94,8 +93,8 @@ class ArduCopter(Autopilot):
         "flight_custom_version": b"gs-sitl",
     }
 
-    def __init__(self, world: World, index: int, config: VehicleConfig, boot: Boot) -> None:
-        super().__init__(world, index, config, ardupilot_params(config.sysid), boot)
+    def __init__(self, body: Body, config: VehicleConfig, boot: Boot) -> None:
+        super().__init__(body, config, ardupilot_params(config.sysid), boot)
         self.mode = STABILIZE
         self.taking_off_to: float | None = None
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -161,7 +160,7 @@ class ArduCopter(Autopilot):
 
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
-        known = self.world.has_origin[self.index]
+        known = self.body.has_origin
         common = (_HOLDS if self.mode in _GUIDED_FLAG else 0) | (_AHRS if known else 0)
         health = _WELL | common | (_PREARM if self.armed or self.arm_refusal() is None else 0)
         if known and not self.position_good:
@@ -180,7 +179,7 @@ class ArduCopter(Autopilot):
 
     def started(self) -> None:
         """Sends what comes out of a freshly booted board: bytes that are no MAVLink, then its banner."""
-        self.world.emit(self.index, b"\r\n\r\nInit ArduCopter V4.7.0-dev\r\n\r\nFree RAM: 131072\r\n")
+        self.body.emit(b"\r\n\r\nInit ArduCopter V4.7.0-dev\r\n\r\nFree RAM: 131072\r\n")
         self.banner()
 
     def banner(self) -> None:
@@ -223,7 +222,7 @@ class ArduCopter(Autopilot):
             self.text(CRITICAL, why)
             return FAILED
         self.arm()
-        self.world.send_now(self.index, "HOME_POSITION")
+        self.body.send_now("HOME_POSITION")
         self.taking_off_to = None
         self._entered = None
         self.text(INFO, "Arming motors")
@@ -286,14 +285,14 @@ class ArduCopter(Autopilot):
         if self.mode != GUIDED or not self.armed or not self.landed or not 0.0 < height <= 100_000.0:
             return FAILED
         self.taking_off_to = height
-        self._asked_up_ns = self.world.now_ns
+        self._asked_up_ns = self.body.now_ns
         self._entered = None
         return ACCEPTED
 
     def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if not params[1] > 0:
             return FAILED
-        self.limit_speed(xy_m_s=params[1])
+        self.body.limit_speed(xy_m_s=params[1])
         return ACCEPTED
 
     def _reposition(self, params: tuple[float, ...], _frame: Frame) -> int:
@@ -302,10 +301,10 @@ class ArduCopter(Autopilot):
             return DENIED
         if self._change_mode(GUIDED) != ACCEPTED:
             return FAILED
-        x, y, z = self.world.geodesy.enu_from_geodetic(lat, lon, alt).tolist()
+        x, y, z = self.body.geodesy.enu_from_geodetic(lat, lon, alt).tolist()
         self._entered, self.taking_off_to = GUIDED, None
-        self.limit_speed()
-        self.setpoint = Setpoint(self.world.now_ns, (x, y, z), NOTHING, None, None)
+        self.body.limit_speed()
+        self.setpoint = Setpoint(self.body.now_ns, (x, y, z), NOTHING, None, None)
         self._fly_setpoint()
         return ACCEPTED
 
@@ -314,8 +313,8 @@ class ArduCopter(Autopilot):
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
         if self.mode != GUIDED or self.taking_off_to is not None:
             return
-        origin = self.world.origin_enu_m[:, self.index].tolist()
-        self.setpoint = read_ardupilot(fields, self.world.now_ns, origin, self.pos_est(), self.yaw_enu())
+        origin = self.body.origin_enu_m
+        self.setpoint = read_ardupilot(fields, self.body.now_ns, origin, self.body.pos_enu_m, self.body.yaw_enu_rad)
         if self.setpoint is None:
             self._stop()
         elif self.armed and not self.landed:
@@ -326,23 +325,22 @@ class ArduCopter(Autopilot):
         point = self.setpoint
         if point is not None:
             self._braked = False
-            self.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
+            self.body.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
 
     def _stop(self) -> None:
         """Brakes and holds, staying in GUIDED."""
         self.setpoint = None
         if self.armed and not self.landed:
-            self.command(NOTHING, NOTHING)
+            self.body.command(NOTHING, NOTHING)
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Takes an origin only while there is none; bad values fail without a word."""
-        world, i = self.world, self.index
+        body = self.body
         lat, lon, alt = fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
-        if world.has_origin[i] or not is_place(lat, lon, alt):
+        if body.has_origin or not is_place(lat, lon, alt):
             return
-        world.has_origin[i] = True
-        world.origin_enu_m[:, i] = world.geodesy.enu_from_geodetic(lat, lon, alt)
-        world.send_now(i, "GPS_GLOBAL_ORIGIN")
+        body.set_origin(body.geodesy.enu_from_geodetic(lat, lon, alt))
+        body.send_now("GPS_GLOBAL_ORIGIN")
 
     def _on_data_stream(self, fields: Fields, _frame: Frame) -> None:
         """Sets a group of streams; there is no acknowledgement."""
@@ -351,7 +349,7 @@ class ArduCopter(Autopilot):
         for group, names in DATA_STREAMS.items():
             if wanted in (0, group):
                 for name in names:
-                    self.world.streams.set_interval(self.index, name, interval_ns, self.world.now_ns)
+                    self.body.set_interval(name, interval_ns)
 
     # -- flight -------------------------------------------------------------------------------------------------
 
@@ -367,7 +365,8 @@ class ArduCopter(Autopilot):
         point = self.setpoint
         if self.mode == GUIDED and point is not None:
             down, bottom = point.vel_enu_m_s[2], point.pos_enu_m[2]
-            return (down is not None and down < -0.05) or (bottom is not None and bottom < self.pos_est()[2] - 0.05)
+            here = self.body.pos_enu_m[2]
+            return (down is not None and down < -0.05) or (bottom is not None and bottom < here - 0.05)
         return self._landing()
 
     def touched_down(self) -> None:
@@ -376,7 +375,7 @@ class ArduCopter(Autopilot):
 
     def update(self, now_ns: int) -> None:
         """Checks the failsafes, then lets the mode act."""
-        if not self._origin_told and self.world.has_origin[self.index]:
+        if not self._origin_told and self.body.has_origin:
             self._origin_told = True
             self.text(INFO, "EKF3 IMU0 origin set")
             self.text(INFO, "EKF3 IMU1 origin set")
@@ -393,10 +392,10 @@ class ArduCopter(Autopilot):
             if delay_s > 0 and now_ns - since >= delay_s * SECOND and not self.wants_up():
                 self.disarm()
                 return
-        if self.landed and not self.world.dynamics.flying[self.index]:
+        if self.landed and not self.body.flying:
             if not (self.wants_up() and now_ns - max(self.armed_ns + _ARMING_NS, self._asked_up_ns) >= _SPOOL_NS):
                 return
-            self.set_flying(True)
+            self.body.flying = True
             self._entered = None
         self._act(now_ns)
 
@@ -434,64 +433,64 @@ class ArduCopter(Autopilot):
         elif self.mode == AUTO:
             self.flight.act(entering)
         elif entering:
-            self._hold = self.pos_est()
-            self.limit_speed()
-            self.command(self._hold, NOTHING)
+            self._hold = self.body.pos_enu_m
+            self.body.limit_speed()
+            self.body.command(self._hold, NOTHING)
 
     def _act_guided(self, entering: bool, now_ns: int) -> None:
-        x, y, z = self.pos_est()
+        x, y, z = self.body.pos_enu_m
         if self.taking_off_to is not None:
-            top = float(self.world.home_enu_m[2, self.index]) + self.taking_off_to
+            top = self.body.home_enu_m[2] + self.taking_off_to
             if entering:
                 self._hold = (x, y, top)
-                self.limit_speed(up=self.params["WPNAV_SPEED_UP"] / 100.0)
-                self.command(self._hold, NOTHING)
+                self.body.limit_speed(up=self.params["WPNAV_SPEED_UP"] / 100.0)
+                self.body.command(self._hold, NOTHING)
             if not self.landed and z > top - 0.1:
                 self.taking_off_to = None
             return
         if entering:
             self._hold = (x, y, z)
-            self.limit_speed()
+            self.body.limit_speed()
             if self.setpoint is None:
-                self.command(self._hold, NOTHING)
+                self.body.command(self._hold, NOTHING)
         point = self.setpoint
         if point is None or point.pos_enu_m[0] is not None or self._braked:
             return
         if now_ns - point.t_ns > self.params["GUID_TIMEOUT"] * SECOND:
             self._braked = True  # the last velocity has been kept until now; brakes and hovers, no word of it
-            self.command(NOTHING, NOTHING)
+            self.body.command(NOTHING, NOTHING)
 
     def _act_land(self, entering: bool) -> None:
-        x, y, z = self.pos_est()
+        x, y, z = self.body.pos_enu_m
         if entering:
             self._hold = (x, y, z)
-            self.limit_speed()
-        height = z - float(self.world.home_enu_m[2, self.index])
+            self.body.limit_speed()
+        height = z - self.body.home_enu_m[2]
         fast = self.params["LAND_SPEED_HIGH"] or self.params["WPNAV_SPEED_DN"]
         speed = (fast if height > self.params["LAND_ALT_LOW"] / 100.0 else self.params["LAND_SPEED"]) / 100.0
-        speed = min(speed, self.world.profile_of(self.index).speed_down_max_m_s)
-        self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
+        speed = min(speed, self.body.profile.speed_down_max_m_s)
+        self.body.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _act_rtl(self, entering: bool) -> None:
-        x, y, z = self.pos_est()
-        home = self.world.home_enu_m[:, self.index].tolist()
+        x, y, z = self.body.pos_enu_m
+        home = self.body.home_enu_m
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
             climbs = far > 1.0 or self.params["RTL_CONE_SLOPE"] == 0.0
             top = max(z, home[2] + self.params["RTL_ALT"] / 100.0) if climbs else z
             self._hold = (x, y, top)
-            self.limit_speed()
+            self.body.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage, self._hold = 1, (home[0], home[1], self._hold[2])
         if self._rtl_stage == 1 and far < 0.5:
-            self._rtl_stage, self._above_home_ns = 3, self.world.now_ns
-        if self._rtl_stage == 3 and self.world.now_ns - self._above_home_ns >= self.params["RTL_LOIT_TIME"] * 1e6:
+            self._rtl_stage, self._above_home_ns = 3, self.body.now_ns
+        if self._rtl_stage == 3 and self.body.now_ns - self._above_home_ns >= self.params["RTL_LOIT_TIME"] * 1e6:
             self._rtl_stage, self._hold = 2, (home[0], home[1], z)
         if self._rtl_stage == 2:
             self._act_land(False)
         else:
-            self.command(self._hold, NOTHING)
+            self.body.command(self._hold, NOTHING)
 
     def vision_enabled(self) -> bool:
         """VISO_TYPE is set and the estimator's first source is the external one."""
@@ -499,7 +498,7 @@ class ArduCopter(Autopilot):
 
     def vision_has_origin(self) -> bool:
         """The origin has to be set from outside first."""
-        return bool(self.world.has_origin[self.index])
+        return self.body.has_origin
 
     first_item_is_home = True
 

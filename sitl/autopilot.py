@@ -1,54 +1,27 @@
 """What both personalities share: power-up, arming state, lift-off and touch-down, setpoints turned into commands.
 
 One object per vehicle; ``tick`` is called every 20 ms of simulated time, message handlers in between. Refuses to
-move anything itself: it writes commands into the dynamics and reads what the estimator believes.
+move anything itself, and to know the world: it has its ``Body``.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 from groundstation.mavlink.codec import Frame
 from sitl.battery import Battery
+from sitl.body import Body
+from sitl.config import SECOND, Boot, VehicleConfig
 from sitl.frames import is_place
 from sitl.mission import MissionFlight
 from sitl.params import ParamSet
 from sitl.protocol import ACCEPTED, DENIED, UNSUPPORTED, Protocol
-from sitl.setpoints import NOTHING, Setpoint, Triple
-from sitl.telemetry import RATES_HZ
+from sitl.setpoints import NOTHING, Setpoint
+from sitl.streams import RATES_HZ
+from sitl.vision import Vision
 from sitl.wire import whole
 
-if TYPE_CHECKING:
-    from sitl.vision import Vision
-    from sitl.world import VehicleConfig, World
-
-SECOND = 1_000_000_000
 FORCE_MAGIC = 21196
 LANDED, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 _LIFTED_M = 0.03
-
-
-@dataclass(frozen=True)
-class Boot:
-    """When, after power-up, a vehicle gets how far.
-
-    Attributes:
-        stream_ns: first message.
-        heartbeat_ns: first heartbeat at the earliest.
-        position_ns: position estimate.
-        ready_ns: prearm checks pass (apart from the position).
-        origin_ns: origin of the estimator.
-        deaf_ns: mode requests are acknowledged but do nothing before this.
-    """
-
-    stream_ns: int
-    heartbeat_ns: int
-    position_ns: int
-    ready_ns: int
-    origin_ns: int
-    deaf_ns: int
 
 
 class Autopilot(Protocol):
@@ -62,20 +35,20 @@ class Autopilot(Protocol):
         battery: its battery.
     """
 
-    def __init__(self, world: World, index: int, config: VehicleConfig, params: ParamSet, boot: Boot) -> None:
-        super().__init__(world, index, config, params)
+    def __init__(self, body: Body, config: VehicleConfig, params: ParamSet, boot: Boot) -> None:
+        super().__init__(body, config, params)
         self.boot = boot
-        self.boot_ns = world.now_ns
+        self.boot_ns = body.now_ns
         self.powered = True
         self.armed, self.armed_ns = False, 0
-        self.landed, self.landed_ns = True, world.now_ns
+        self.landed, self.landed_ns = True, body.now_ns
         self.taken_off = False
         self.setpoint: Setpoint | None = None
         self.deny_arming = False
         self.vision: Vision | None = None
         self._beating = False
         self._contact_since_ns: int | None = None
-        endurance = world.profile_of(index).hover_endurance_s
+        endurance = body.profile.hover_endurance_s
         self.flight = MissionFlight(self)
         self.battery = Battery(endurance) if endurance > 600 else Battery(endurance, 1, 250.0)
         self.commands.update(
@@ -160,12 +133,12 @@ class Autopilot(Protocol):
     @property
     def age_ns(self) -> int:
         """Time since power-up."""
-        return self.world.now_ns - self.boot_ns
+        return self.body.now_ns - self.boot_ns
 
     @property
     def has_position(self) -> bool:
         """Whether the estimator has a position."""
-        return bool(self.world.has_position[self.index])
+        return self.body.has_position
 
     @property
     def ready(self) -> bool:
@@ -175,27 +148,27 @@ class Autopilot(Protocol):
     @property
     def position_good(self) -> bool:
         """Whether the estimator has a position that can be flown by."""
-        return self.has_position and not self.world.invalid[self.index]
+        return self.body.position_good
 
     def tick(self, now_ns: int, dt_s: float) -> None:
         """Runs everything that does not wait for a message, every 20 ms."""
-        world, i = self.world, self.index
+        body = self.body
         if not self.powered:
             return
-        if not world.talking[i] and self.age_ns >= self.boot.stream_ns:
-            world.talking[i] = True
-            world.streams.set_rates(i, {**self.default_rates_hz(), "HEARTBEAT": 0.0}, now_ns)
+        if not body.talking and self.age_ns >= self.boot.stream_ns:
+            body.talking = True
+            body.set_rates({**self.default_rates_hz(), "HEARTBEAT": 0.0})
             self.started()
         if not self._beating and self.age_ns >= self.boot.heartbeat_ns:
             self._beating = True
-            world.streams.set_interval(i, "HEARTBEAT", SECOND, now_ns)
-            world.send_now(i, "HEARTBEAT")
-        if not world.has_position[i]:
+            body.set_interval("HEARTBEAT", SECOND)
+            body.send_now("HEARTBEAT")
+        if not body.has_position:
             self._look_for_position()
         if self.vision is not None:
             self.vision.tick(now_ns)
-        self.battery.drain(float(world.dynamics.thrust_m_s2[i]) / 9.80665 * self.armed, dt_s)
-        world.dynamics.thrust_share[i] = world.motor_share[i] if self.battery.left > 0.0 else 0.0
+        self.battery.drain(body.thrust_m_s2 / 9.80665 * self.armed, dt_s)
+        body.power_motors(self.battery.left > 0.0)
         if self._param_queue:
             self.send_queued_params()
         if self._upload is not None:
@@ -207,104 +180,39 @@ class Autopilot(Protocol):
         """Called once, when the vehicle sends its first bytes."""
 
     def _look_for_position(self) -> None:
-        world, i = self.world, self.index
-        if not world.has_gps[i]:
+        if not self.body.has_gps:
             return
-        if not world.has_origin[i] and self.age_ns >= self.boot.origin_ns:
+        if not self.body.has_origin and self.age_ns >= self.boot.origin_ns:
             self.origin_found()
         if self.age_ns >= self.boot.position_ns:
             self.position_found()
 
     def origin_found(self) -> None:
         """Called when the estimator takes the place where it stands for its origin."""
-        world, i = self.world, self.index
-        world.has_origin[i] = True
-        world.origin_enu_m[:, i] = world.dynamics.pos_enu_m[:, i] + world.estimator.origin_error_enu_m[:, i]
+        self.body.set_origin()
 
     def position_found(self) -> None:
         """Called when the estimator has found its position."""
-        world, i = self.world, self.index
-        if not world.has_origin[i]:
+        if not self.body.has_origin:
             self.origin_found()
-        world.has_position[i] = True
+        self.body.has_position = True
         if self.landed:
-            world.home_enu_m[:, i] = self.pos_est()
-
-    # -- estimates ----------------------------------------------------------------------------------------------
-
-    def pos_est(self) -> tuple[float, float, float]:
-        """Believed position in the world's frame, ENU m."""
-        world, i = self.world, self.index
-        x, y, z = (world.dynamics.pos_enu_m[:, i] + world.estimator.pos_error[:, i]).tolist()
-        return x, y, z
-
-    def height_m(self) -> float:
-        """Believed height above home."""
-        return self.pos_est()[2] - float(self.world.home_enu_m[2, self.index])
-
-    def yaw_enu(self) -> float:
-        """Heading from east counter-clockwise, rad."""
-        return float(self.world.dynamics.yaw_enu_rad[self.index])
-
-    # -- commands to the dynamics -------------------------------------------------------------------------------
-
-    def command(
-        self,
-        pos_enu_m: Triple,
-        vel_enu_m_s: Triple,
-        yaw_enu_rad: float | None = None,
-        yaw_rate_rad_s: float | None = None,
-    ) -> None:
-        """Tells the dynamics what to fly; on each axis a position, a velocity, or both (then it is feed-forward)."""
-        dynamics, i = self.world.dynamics, self.index
-        for axis in range(3):
-            pos, vel = pos_enu_m[axis], vel_enu_m_s[axis]
-            dynamics.vel_sp_enu_m_s[axis, i] = 0.0 if vel is None else vel
-            if pos is None:
-                dynamics.pos_mask[axis, i] = 0.0
-            else:
-                dynamics.pos_mask[axis, i] = 1.0
-                dynamics.pos_sp_enu_m[axis, i] = pos
-                dynamics.positions_used = True
-        if yaw_rate_rad_s is not None:
-            dynamics.yaw_mask[i] = False
-            dynamics.yaw_rate_sp_rad_s[i] = yaw_rate_rad_s
-            dynamics.yaw_used = True
-        elif yaw_enu_rad is not None:
-            dynamics.yaw_mask[i] = True
-            dynamics.yaw_sp_enu_rad[i] = yaw_enu_rad
-            dynamics.yaw_used = True
-        elif not dynamics.yaw_mask[i]:
-            dynamics.yaw_mask[i] = True
-            dynamics.yaw_sp_enu_rad[i] = dynamics.yaw_enu_rad[i]
-
-    def set_flying(self, flying: bool) -> None:
-        """Lets the motors lift, or idle."""
-        self.world.dynamics.flying[self.index] = flying
-
-    def limit_speed(self, xy_m_s: float | None = None, up: float | None = None, down: float | None = None) -> None:
-        """Sets the limits of the position loop; None takes the profile's."""
-        profile = self.world.profile_of(self.index)
-        limits = self.world.dynamics.speed_limit_m_s
-        limits[0, self.index] = min(xy_m_s or math.inf, profile.speed_xy_max_m_s)
-        limits[1, self.index] = min(up or math.inf, profile.speed_up_max_m_s)
-        limits[2, self.index] = min(down or math.inf, profile.speed_down_max_m_s)
+            self.body.set_home(self.body.pos_enu_m)
 
     # -- arming -------------------------------------------------------------------------------------------------
 
     def arm(self) -> None:
         """Arms; whoever calls has checked."""
-        now_ns = self.world.now_ns
+        now_ns = self.body.now_ns
         self.armed, self.armed_ns, self.taken_off = True, now_ns, False
         if self.landed:
-            self.world.home_enu_m[:, self.index] = self.pos_est()
-            self.command(NOTHING, NOTHING)
+            self.body.set_home(self.body.pos_enu_m)
+            self.body.command(NOTHING, NOTHING)
 
     def disarm(self) -> None:
         """Stops the motors at once, wherever the vehicle is."""
         self.armed = self.taken_off = False
-        self.set_flying(False)
-        self.world.dynamics.thrust_m_s2[self.index] *= 0.0
+        self.body.stop_motors()
 
     def _arm_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if params[0] not in (0.0, 1.0):
@@ -331,43 +239,41 @@ class Autopilot(Protocol):
         if params[0] not in (1.0, 3.0) or self.armed:
             return DENIED
         self.ack(246, ACCEPTED, frame)
-        self.world.reboot(self.index)
+        self.body.reboot()
         return None
 
     def _set_home(self, params: tuple[float, ...], _frame: Frame) -> int:
-        world, i = self.world, self.index
+        body = self.body
         if not self.has_position:
             return DENIED
         if params[0] == 1.0:
-            world.home_enu_m[:, i] = self.pos_est()
+            body.set_home(body.pos_enu_m)
         else:
             lat, lon, alt = params[4:7]
             if not is_place(lat, lon, alt):
                 return DENIED
-            world.home_enu_m[:, i] = world.geodesy.enu_from_geodetic(lat, lon, alt)
-        world.send_now(i, "HOME_POSITION")
+            body.set_home(body.geodesy.enu_from_geodetic(lat, lon, alt))
+        body.send_now("HOME_POSITION")
         return ACCEPTED
 
     # -- ground and air -----------------------------------------------------------------------------------------
 
     def _detect_landing(self, now_ns: int) -> None:
-        dynamics, i = self.world.dynamics, self.index
         if self.landed:
-            height = dynamics.pos_enu_m[2, i] - dynamics.ground_m[i]
-            if self.armed and height > _LIFTED_M:
+            if self.armed and self.body.above_ground_m > _LIFTED_M:
                 self.landed = False
                 self.taken_off = True
                 self._contact_since_ns = None
             return
-        if not dynamics.on_ground[i] or (self.armed and not self.wants_down()):
+        if not self.body.on_ground or (self.armed and not self.wants_down()):
             self._contact_since_ns = None
             return
         if self._contact_since_ns is None:
             self._contact_since_ns = now_ns
-        contact_ns = self.world.profile_of(self.index).land_contact_s * SECOND
+        contact_ns = self.body.profile.land_contact_s * SECOND
         if now_ns - self._contact_since_ns >= contact_ns or not self.armed:
             self.landed, self.landed_ns = True, now_ns
-            self.set_flying(False)
+            self.body.flying = False
             self.touched_down()
 
     def touched_down(self) -> None:

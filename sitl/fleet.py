@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
+from sitl.config import VehicleConfig
 from sitl.estimator import MOCAP, Noise
-from sitl.world import VehicleConfig
 
 DEFAULT_PROFILES = {"px4": "crazyflie", "arducopter": "arducopter"}
 _COLUMNS = 3

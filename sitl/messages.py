@@ -1,6 +1,6 @@
 """Columns of every streamed message type, in wire units, made from what the vehicles believe.
 
-One function per type: (world, view, vehicles) to a structured array with one row per vehicle. Refuses to decide who
+One function per type: (state, view, vehicles) to a structured array with one row per vehicle. Refuses to decide who
 sends what and when.
 """
 
@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.mavlink.codec import StructuredArray, layout
 from sitl.frames import frd_from_ned
+from sitl.pilot import Pilot
+from sitl.state import State
 from sitl.telemetry import View
 
-if TYPE_CHECKING:
-    from sitl.autopilot import Autopilot
-    from sitl.world import World
-
 IntArray = NDArray[np.int64]
-Maker = Callable[["World", View, IntArray], StructuredArray]
+Maker = Callable[[State, View, IntArray], StructuredArray]
 MAKERS: dict[str, Maker] = {}
 NEEDS_POSITION: set[str] = set()
 NEEDS_ORIGIN: set[str] = set()
@@ -53,24 +50,24 @@ def rows_of(name: str, vehicles: IntArray) -> StructuredArray:
     return np.zeros(len(vehicles), dtype=layout(name).dtype)
 
 
-def _each(world: World, vehicles: IntArray) -> list[Autopilot]:
-    return [world.autopilots[i] for i in vehicles]
+def _each(state: State, vehicles: IntArray) -> list[Pilot]:
+    return [state.pilots[i] for i in vehicles]
 
 
-def times_ms(world: World, vehicles: IntArray) -> IntArray:
+def times_ms(state: State, vehicles: IntArray) -> IntArray:
     """Time since power-up as the vehicles count it, ms."""
-    return np.asarray(world.vehicle_time_ns()[vehicles] // 1_000_000)
+    return np.asarray(state.vehicle_time_ns()[vehicles] // 1_000_000)
 
 
-def times_us(world: World, vehicles: IntArray) -> IntArray:
+def times_us(state: State, vehicles: IntArray) -> IntArray:
     """The same in microseconds."""
-    return np.asarray(world.vehicle_time_ns()[vehicles] // 1_000)
+    return np.asarray(state.vehicle_time_ns()[vehicles] // 1_000)
 
 
 @message()
-def _heartbeat(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _heartbeat(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HEARTBEAT", vehicles)
-    for row, pilot in zip(out, _each(world, vehicles), strict=True):
+    for row, pilot in zip(out, _each(state, vehicles), strict=True):
         row["type"], row["autopilot"] = 2, pilot.mav_autopilot
         row["base_mode"], row["custom_mode"] = pilot.base_mode(), pilot.custom_mode()
         row["system_status"] = pilot.system_status()
@@ -79,9 +76,9 @@ def _heartbeat(world: World, _view: View, vehicles: IntArray) -> StructuredArray
 
 
 @message()
-def _sys_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _sys_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SYS_STATUS", vehicles)
-    for row, pilot in zip(out, _each(world, vehicles), strict=True):
+    for row, pilot in zip(out, _each(state, vehicles), strict=True):
         present, enabled, health = pilot.sensor_bits()
         row["onboard_control_sensors_present"] = present
         row["onboard_control_sensors_enabled"] = enabled
@@ -95,59 +92,59 @@ def _sys_status(world: World, _view: View, vehicles: IntArray) -> StructuredArra
 
 
 @message()
-def _system_time(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SYSTEM_TIME", vehicles)
-    out["time_unix_usec"] = world.unix_us() + world.clock_offset_ns[vehicles] // 1000
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_unix_usec"] = state.unix_us() + state.clock_offset_ns[vehicles] // 1000
+    out["time_boot_ms"] = times_ms(state, vehicles)
     return out
 
 
 @message()
-def _timesync(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _timesync(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("TIMESYNC", vehicles)
-    out["ts1"] = world.vehicle_time_ns()[vehicles]
+    out["ts1"] = state.vehicle_time_ns()[vehicles]
     return out
 
 
 @message()
-def _attitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _attitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ATTITUDE", vehicles)
     roll, pitch, yaw = view.euler_rad
     rates = view.rates_frd_rad_s
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["roll"], out["pitch"], out["yaw"] = roll[vehicles], pitch[vehicles], yaw[vehicles]
     out["rollspeed"], out["pitchspeed"], out["yawspeed"] = rates[:, vehicles]
     return out
 
 
 @message()
-def _attitude_quaternion(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _attitude_quaternion(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ATTITUDE_QUATERNION", vehicles)
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["q1"], out["q2"], out["q3"], out["q4"] = view.quat_ned_from_frd[:, vehicles]
     out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
     return out
 
 
 @message(position=True)
-def _local_position_ned(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _local_position_ned(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("LOCAL_POSITION_NED", vehicles)
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
     out["vx"], out["vy"], out["vz"] = view.vel_ned_m_s[:, vehicles]
     return out
 
 
 @message(position=True)
-def _odometry(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _odometry(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ODOMETRY", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     out["frame_id"], out["child_frame_id"] = 1, 12  # LOCAL_NED, BODY_FRD
     out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
     out["vx"], out["vy"], out["vz"] = frd_from_ned(view.quat_ned_from_frd, view.vel_ned_m_s)[:, vehicles]
     out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
-    variance = world.estimator.white_m[0, vehicles] ** 2 + 1e-6
+    variance = state.estimator.white_m[0, vehicles] ** 2 + 1e-6
     for diagonal in (0, 6, 11):
         out["pose_covariance"][:, diagonal] = variance
         out["velocity_covariance"][:, diagonal] = 1e-4
@@ -158,42 +155,42 @@ def _odometry(world: World, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-def _number(world: World, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _number(state: State, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Replaces what is not a number by 0, for fields that are integers on the wire."""
-    return np.nan_to_num(values) if world.any_invalid else values
+    return np.nan_to_num(values) if state.any_invalid else values
 
 
 def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float64]]:
     lat, lon, alt = view.geodetic
-    world = view.world
-    lat_e7 = np.rint(_number(world, lat[vehicles]) * 1e7).astype(np.int64)
-    lon_e7 = np.rint(_number(world, lon[vehicles]) * 1e7).astype(np.int64)
-    return lat_e7, lon_e7, _number(world, alt[vehicles])
+    state = view.state
+    lat_e7 = np.rint(_number(state, lat[vehicles]) * 1e7).astype(np.int64)
+    lon_e7 = np.rint(_number(state, lon[vehicles]) * 1e7).astype(np.int64)
+    return lat_e7, lon_e7, _number(state, alt[vehicles])
 
 
 @message(position=True)
-def _global_position_int(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _global_position_int(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GLOBAL_POSITION_INT", vehicles)
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = np.rint(alt * 1000.0)
-    height = _number(world, view.pos_enu_m[2, vehicles]) - world.home_enu_m[2, vehicles]
+    height = _number(state, view.pos_enu_m[2, vehicles]) - state.home_enu_m[2, vehicles]
     out["relative_alt"] = np.rint(np.clip(height, -2e6, 2e6) * 1000.0)  # home may be set anywhere on the globe
-    vel = np.clip(_number(world, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767, 32767)
+    vel = np.clip(_number(state, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767, 32767)
     out["vx"], out["vy"], out["vz"] = np.rint(vel)
     out["hdg"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0 * 100.0) % 36000
     return out
 
 
 @message(gps=True)
-def _gps_raw_int(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _gps_raw_int(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_RAW_INT", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     out["fix_type"] = 3
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = out["alt_ellipsoid"] = np.rint(alt * 1000.0)
     out["eph"], out["epv"] = 80, 110
-    vel = _number(world, view.vel_ned_m_s[:, vehicles])
+    vel = _number(state, view.vel_ned_m_s[:, vehicles])
     out["vel"] = np.minimum(np.rint(np.hypot(vel[0], vel[1]) * 100.0), 65534)
     out["cog"] = np.rint(np.degrees(np.arctan2(vel[1], vel[0])) % 360.0 * 100.0) % 36000
     out["satellites_visible"] = 12
@@ -202,15 +199,15 @@ def _gps_raw_int(world: World, view: View, vehicles: IntArray) -> StructuredArra
 
 
 @message()
-def _highres_imu(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _highres_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HIGHRES_IMU", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     out["xacc"], out["yacc"], out["zacc"] = view.specific_force_frd_m_s2[:, vehicles]
     out["xgyro"], out["ygyro"], out["zgyro"] = view.rates_frd_rad_s[:, vehicles]
     yaw = view.euler_rad[2][vehicles]
     out["xmag"], out["ymag"], out["zmag"] = 0.215 * np.cos(yaw), -0.215 * np.sin(yaw), 0.43
-    height = _number(world, view.pos_enu_m[2, vehicles])
-    out["pressure_alt"] = height + world.config.home_alt_m
+    height = _number(state, view.pos_enu_m[2, vehicles])
+    out["pressure_alt"] = height + state.config.home_alt_m
     out["abs_pressure"] = _SEA_LEVEL_HPA * (1.0 - 2.25577e-5 * out["pressure_alt"]) ** 5.25588
     out["temperature"] = 25.0
     out["fields_updated"] = 0x1FFF
@@ -218,37 +215,37 @@ def _highres_imu(world: World, view: View, vehicles: IntArray) -> StructuredArra
 
 
 @message(position=True)
-def _altitude(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _altitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ALTITUDE", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     alt = view.geodetic[2][vehicles]
     out["altitude_monotonic"] = out["altitude_amsl"] = alt
     out["altitude_local"] = -view.local_ned_m[2, vehicles]
-    out["altitude_relative"] = view.pos_enu_m[2, vehicles] - world.home_enu_m[2, vehicles]
+    out["altitude_relative"] = view.pos_enu_m[2, vehicles] - state.home_enu_m[2, vehicles]
     out["altitude_terrain"] = np.nan
     out["bottom_clearance"] = np.nan
     return out
 
 
 @message()
-def _vfr_hud(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _vfr_hud(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("VFR_HUD", vehicles)
     vel = view.vel_ned_m_s[:, vehicles]
     out["airspeed"] = out["groundspeed"] = np.hypot(vel[0], vel[1])
     out["climb"] = -vel[2]
     out["alt"] = view.geodetic[2][vehicles]
     out["heading"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0) % 360
-    out["throttle"] = np.clip(world.dynamics.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0, 100)
+    out["throttle"] = np.clip(state.dynamics.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0, 100)
     return out
 
 
 @message(position=True)
-def _position_target_local_ned(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _position_target_local_ned(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("POSITION_TARGET_LOCAL_NED", vehicles)
-    dynamics = world.dynamics
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    dynamics = state.dynamics
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["coordinate_frame"] = 1
-    target = dynamics.pos_sp_enu_m[:, vehicles] - world.origin_enu_m[:, vehicles]
+    target = dynamics.pos_sp_enu_m[:, vehicles] - state.origin_enu_m[:, vehicles]
     held = dynamics.pos_mask[:, vehicles] > 0
     target = np.where(held, target, np.nan)
     out["x"], out["y"], out["z"] = target[1], target[0], -target[2]
@@ -259,21 +256,21 @@ def _position_target_local_ned(world: World, _view: View, vehicles: IntArray) ->
 
 
 @message()
-def _attitude_target(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _attitude_target(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     """As far as the dynamics have one: the attitude that is flown, with the thrust."""
     out = rows_of("ATTITUDE_TARGET", vehicles)
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["thrust"] = np.clip(world.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    out["thrust"] = np.clip(state.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
     return out
 
 
 @message()
-def _distance_sensor(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _distance_sensor(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     """The one that PX4's built-in simulator has, looking down."""
     out = rows_of("DISTANCE_SENSOR", vehicles)
-    dynamics = world.dynamics
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    dynamics = state.dynamics
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["max_distance"], out["orientation"] = 10_000, 25  # cm; MAV_SENSOR_ROTATION_PITCH_270
     height_m = dynamics.pos_enu_m[2, vehicles] - dynamics.ground_m[vehicles]
     out["current_distance"] = np.rint(np.clip(height_m * 100.0, 0.0, 10_000.0))
@@ -281,28 +278,28 @@ def _distance_sensor(world: World, _view: View, vehicles: IntArray) -> Structure
 
 
 @message()
-def _ping(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _ping(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("PING", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
-    out["seq"] = times_us(world, vehicles) // 1_000_000
+    out["time_usec"] = times_us(state, vehicles)
+    out["seq"] = times_us(state, vehicles) // 1_000_000
     return out
 
 
 @message()
-def _extended_sys_state(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _extended_sys_state(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("EXTENDED_SYS_STATE", vehicles)
-    out["landed_state"] = [pilot.landed_state() for pilot in _each(world, vehicles)]
+    out["landed_state"] = [pilot.landed_state() for pilot in _each(state, vehicles)]
     return out
 
 
 @message()
-def _estimator_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _estimator_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ESTIMATOR_STATUS", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
-    good = world.has_position[vehicles] & ~world.invalid[vehicles]
+    out["time_usec"] = times_us(state, vehicles)
+    good = state.has_position[vehicles] & ~state.invalid[vehicles]
     # attitude, vertical velocity, heights above sea and ground; with a position: horizontal velocity, positions,
     # and that they are measured. Standing still sets "constant position", whatever is known.
-    resting = np.array([pilot.landed for pilot in _each(world, vehicles)], dtype=bool)
+    resting = np.array([pilot.landed for pilot in _each(state, vehicles)], dtype=bool)
     out["flags"] = np.where(good, 0x37F, 0x65) | np.where(resting, 0x80, 0)
     for name, value in (("vel_ratio", 0.03), ("pos_horiz_ratio", 0.02), ("pos_vert_ratio", 0.03)):
         out[name] = np.where(good, value, 2.0)
@@ -312,11 +309,11 @@ def _estimator_status(world: World, _view: View, vehicles: IntArray) -> Structur
 
 
 @message()
-def _ekf_status_report(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _ekf_status_report(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("EKF_STATUS_REPORT", vehicles)
-    good = world.has_position[vehicles] & ~world.invalid[vehicles]
+    good = state.has_position[vehicles] & ~state.invalid[vehicles]
     # without a position: attitude, velocities and height, and "constant position"; nothing before it has begun
-    begun = np.array([pilot.age_ns >= pilot.boot.deaf_ns for pilot in _each(world, vehicles)], dtype=bool)
+    begun = np.array([pilot.age_ns >= pilot.boot.deaf_ns for pilot in _each(state, vehicles)], dtype=bool)
     out["flags"] = np.where(good, 0x33F, np.where(begun, 0xA7, 0x400))
     for name in ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance"):
         out[name] = np.where(good, 0.02, 1.2)
@@ -324,9 +321,9 @@ def _ekf_status_report(world: World, _view: View, vehicles: IntArray) -> Structu
 
 
 @message()
-def _battery_status(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _battery_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("BATTERY_STATUS", vehicles)
-    for row, pilot in zip(out, _each(world, vehicles), strict=True):
+    for row, pilot in zip(out, _each(state, vehicles), strict=True):
         battery = pilot.battery
         row["current_consumed"] = int(battery.used_mah())
         row["energy_consumed"] = -1
@@ -342,37 +339,37 @@ def _battery_status(world: World, _view: View, vehicles: IntArray) -> Structured
 
 
 @message(position=True)
-def _home_position(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HOME_POSITION", vehicles)
-    home = world.home_enu_m[:, vehicles]
-    lat, lon, alt = world.geodesy.geodetic_from_enu(home)
+    home = state.home_enu_m[:, vehicles]
+    lat, lon, alt = state.geodesy.geodetic_from_enu(home)
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
-    local = home - world.origin_enu_m[:, vehicles]
+    local = home - state.origin_enu_m[:, vehicles]
     out["x"], out["y"], out["z"] = local[1], local[0], -local[2]
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     return out
 
 
 @message(origin=True)
-def _gps_global_origin(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _gps_global_origin(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_GLOBAL_ORIGIN", vehicles)
-    lat, lon, alt = world.geodesy.geodetic_from_enu(world.origin_enu_m[:, vehicles])
+    lat, lon, alt = state.geodesy.geodetic_from_enu(state.origin_enu_m[:, vehicles])
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     return out
 
 
 @message()
-def _hil_state_quaternion(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _hil_state_quaternion(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     """The simulator's truth, not the estimate."""
     out = rows_of("HIL_STATE_QUATERNION", vehicles)
-    dynamics = world.dynamics
-    out["time_usec"] = times_us(world, vehicles)
-    out["attitude_quaternion"] = world.true_quat()[:, vehicles].T
-    lat, lon, alt = world.geodesy.geodetic_from_enu(dynamics.pos_enu_m[:, vehicles])
+    dynamics = state.dynamics
+    out["time_usec"] = times_us(state, vehicles)
+    out["attitude_quaternion"] = state.true_quat()[:, vehicles].T
+    lat, lon, alt = state.geodesy.geodetic_from_enu(dynamics.pos_enu_m[:, vehicles])
     out["lat"], out["lon"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["alt"] = np.rint(alt * 1000.0)
     vel = np.clip(dynamics.vel_enu_m_s[:, vehicles] * 100.0, -32767, 32767)

@@ -5,16 +5,12 @@ Refuses to be a sensor model: values are believable, no more.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from groundstation.mavlink.codec import StructuredArray
 from sitl.messages import IntArray, message, rows_of, times_ms, times_us
+from sitl.state import State
 from sitl.telemetry import View
-
-if TYPE_CHECKING:
-    from sitl.world import World
 
 
 def register() -> None:
@@ -25,9 +21,9 @@ _MILLI_G = 1000.0 / 9.80665
 
 
 @message()
-def _raw_imu(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _raw_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("RAW_IMU", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
+    out["time_usec"] = times_us(state, vehicles)
     force = np.clip(view.specific_force_frd_m_s2[:, vehicles] * _MILLI_G, -32767, 32767)
     rates = np.clip(view.rates_frd_rad_s[:, vehicles] * 1000.0, -32767, 32767)
     out["xacc"], out["yacc"], out["zacc"] = np.rint(force)
@@ -39,63 +35,63 @@ def _raw_imu(world: World, view: View, vehicles: IntArray) -> StructuredArray:
 
 
 @message()
-def _scaled_pressure(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _scaled_pressure(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SCALED_PRESSURE", vehicles)
-    out["time_boot_ms"] = times_ms(world, vehicles)
-    alt = world.dynamics.pos_enu_m[2, vehicles] + world.config.home_alt_m
+    out["time_boot_ms"] = times_ms(state, vehicles)
+    alt = state.dynamics.pos_enu_m[2, vehicles] + state.config.home_alt_m
     out["press_abs"] = 1013.25 * (1.0 - 2.25577e-5 * alt) ** 5.25588
     out["temperature"] = 2500
     return out
 
 
 @message()
-def _power_status(_world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _power_status(_state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("POWER_STATUS", vehicles)
     out["Vcc"], out["Vservo"] = 5000, 0
     return out
 
 
 @message()
-def _meminfo(_world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _meminfo(_state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("MEMINFO", vehicles)
     out["freemem"], out["freemem32"] = 65535, 131072
     return out
 
 
 @message()
-def _mission_current(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _mission_current(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("MISSION_CURRENT", vehicles)
-    out["seq"] = [world.autopilots[i].mission_seq for i in vehicles]
-    out["total"] = [len(world.autopilots[i].mission) for i in vehicles]
+    out["seq"] = [state.pilots[i].mission_seq for i in vehicles]
+    out["total"] = [len(state.pilots[i].mission) for i in vehicles]
     return out
 
 
 @message()
-def _nav_controller_output(world: World, view: View, vehicles: IntArray) -> StructuredArray:
+def _nav_controller_output(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("NAV_CONTROLLER_OUTPUT", vehicles)
     roll, pitch, yaw = view.euler_rad
     out["nav_roll"], out["nav_pitch"] = np.degrees(roll[vehicles]), np.degrees(pitch[vehicles])
     out["nav_bearing"] = np.rint(np.degrees(yaw[vehicles]))
-    error = (world.dynamics.pos_sp_enu_m - world.dynamics.pos_enu_m)[:, vehicles] * world.dynamics.pos_mask[:, vehicles]
+    error = (state.dynamics.pos_sp_enu_m - state.dynamics.pos_enu_m)[:, vehicles] * state.dynamics.pos_mask[:, vehicles]
     out["wp_dist"] = np.minimum(np.hypot(error[0], error[1]), 65535)
     out["alt_error"] = error[2]
     return out
 
 
 @message()
-def _servo_output_raw(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _servo_output_raw(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SERVO_OUTPUT_RAW", vehicles)
-    out["time_usec"] = times_us(world, vehicles) & 0xFFFFFFFF
-    share = np.clip(world.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    out["time_usec"] = times_us(state, vehicles) & 0xFFFFFFFF
+    share = np.clip(state.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
     for k in range(1, 5):
         out[f"servo{k}_raw"] = np.rint(1000.0 + 1000.0 * share)
     return out
 
 
 @message()
-def _rc_channels(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _rc_channels(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("RC_CHANNELS", vehicles)
-    out["time_boot_ms"] = times_ms(world, vehicles)
+    out["time_boot_ms"] = times_ms(state, vehicles)
     out["chancount"], out["rssi"] = 16, 255
     for k in range(1, 9):
         out[f"chan{k}_raw"] = 1000 if k == 3 else 1500
@@ -103,9 +99,9 @@ def _rc_channels(world: World, _view: View, vehicles: IntArray) -> StructuredArr
 
 
 @message()
-def _vibration(world: World, _view: View, vehicles: IntArray) -> StructuredArray:
+def _vibration(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("VIBRATION", vehicles)
-    out["time_usec"] = times_us(world, vehicles)
-    share = world.dynamics.thrust_m_s2[vehicles] / 9.80665
+    out["time_usec"] = times_us(state, vehicles)
+    share = state.dynamics.thrust_m_s2[vehicles] / 9.80665
     out["vibration_x"] = out["vibration_y"] = out["vibration_z"] = 3.0 * share
     return out

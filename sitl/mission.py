@@ -6,14 +6,12 @@ Refuses to know modes: what an autopilot does when a mission asks to land, to re
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
+from sitl.body import Body
 from sitl.frames import is_place
 from sitl.setpoints import NOTHING
 from sitl.wire import Fields
-
-if TYPE_CHECKING:
-    from sitl.autopilot import Autopilot
 
 WAYPOINT, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 19, 20, 21, 22
 _GLOBAL_AMSL = (0, 5)
@@ -22,10 +20,31 @@ _REACHED_M = 0.5
 Point = tuple[float, float, float]
 
 
+class Flown(Protocol):
+    """An autopilot that flies missions."""
+
+    body: Body
+    mission: list[Fields]
+    mission_seq: int
+    first_item_is_home: bool
+
+    def send(self, name: str, **fields: Any) -> None:
+        """Sends one message."""
+
+    def mission_over(self) -> None:
+        """Called every tick after the last item."""
+
+    def mission_lands(self) -> None:
+        """Called when a mission asks to land here."""
+
+    def mission_returns(self) -> None:
+        """Called when a mission asks to return."""
+
+
 class MissionFlight:
     """Progress of one vehicle through its mission; the item under way is ``pilot.mission_seq``."""
 
-    def __init__(self, pilot: Autopilot) -> None:
+    def __init__(self, pilot: Flown) -> None:
         self._pilot = pilot
         self._target: Point | None = None
         self._reached_ns: int | None = None
@@ -37,7 +56,7 @@ class MissionFlight:
         if entering or pilot.mission_seq != self._seq:
             self._target, self._seq = None, pilot.mission_seq
         if entering:
-            pilot.limit_speed()
+            pilot.body.limit_speed()
         if pilot.mission_seq >= len(pilot.mission):
             pilot.mission_over()
             return
@@ -56,12 +75,12 @@ class MissionFlight:
 
     def _fly(self, item: Fields) -> None:
         pilot = self._pilot
-        now_ns = pilot.world.now_ns
+        now_ns = pilot.body.now_ns
         if self._target is None:
             self._target, self._reached_ns = self._place(item), None
-            pilot.command(self._target, NOTHING)
+            pilot.body.command(self._target, NOTHING)
             pilot.send("MISSION_CURRENT", seq=pilot.mission_seq, total=len(pilot.mission))
-        if math.dist(self._target, pilot.pos_est()) > _REACHED_M:
+        if math.dist(self._target, pilot.body.pos_enu_m) > _REACHED_M:
             return
         if self._reached_ns is None:
             self._reached_ns = now_ns
@@ -77,12 +96,12 @@ class MissionFlight:
     def _place(self, item: Fields) -> Point:
         """Where an item is, ENU; without a place of its own it is above or below here."""
         pilot = self._pilot
-        world = pilot.world
-        x, y, _ = pilot.pos_est()
+        body = pilot.body
+        x, y, _ = body.pos_enu_m
         lat, lon = item["x"] * 1e-7, item["y"] * 1e-7
         if is_place(lat, lon, 0.0) and (item["x"], item["y"]) != (0, 0):
-            x, y, _ = world.geodesy.enu_from_geodetic(lat, lon, world.config.home_alt_m).tolist()
+            x, y, _ = body.geodesy.enu_from_geodetic(lat, lon, body.home_alt_m).tolist()
         height = item["z"] if is_place(0.0, 0.0, item["z"]) else 0.0
         if item["frame"] in _GLOBAL_AMSL:
-            return x, y, height - world.config.home_alt_m
-        return x, y, float(world.home_enu_m[2, pilot.index]) + height
+            return x, y, height - body.home_alt_m
+        return x, y, body.home_enu_m[2] + height

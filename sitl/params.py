@@ -65,17 +65,3 @@ def read_table(text: str) -> dict[str, Value]:
         name: (float(number), REAL32 if "." in number else INT32)
         for name, number in zip(words[::2], words[1::2], strict=True)
     }
-
-
-def px4_params(sysid: int) -> ParamSet:
-    """PX4's parameters for a quadrotor in simulation."""
-    from sitl.params_px4 import PX4  # noqa: PLC0415 - large tables, loaded when needed
-
-    return ParamSet({**PX4, "MAV_SYS_ID": (sysid, INT32)})
-
-
-def ardupilot_params(sysid: int) -> ParamSet:
-    """ArduCopter's parameters in simulation."""
-    from sitl.params_ardupilot import ARDUCOPTER  # noqa: PLC0415 - large tables, loaded when needed
-
-    return ParamSet({**ARDUCOPTER, "MAV_SYSID": (sysid, INT16)})

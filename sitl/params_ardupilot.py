@@ -6,7 +6,7 @@ floats. Refuses to be complete: a real one has more than a thousand.
 
 from __future__ import annotations
 
-from sitl.params import INT8, INT16, INT32, REAL32, Value, read_table
+from sitl.params import INT8, INT16, INT32, REAL32, ParamSet, Value, read_table
 
 _TABLE = """
 ACRO_BAL_PITCH 1.0 ACRO_BAL_ROLL 1.0 ACRO_OPTIONS 0 ACRO_RP_EXPO 0.3 ACRO_RP_RATE 360.0 ACRO_THR_MID 0.0
@@ -108,3 +108,8 @@ ARDUCOPTER: dict[str, Value] = {
     "RTL_LOIT_TIME": (5000, INT32),  # up to 60000 ms
     **_families(),
 }
+
+
+def ardupilot_params(sysid: int) -> ParamSet:
+    """ArduCopter's parameters in simulation."""
+    return ParamSet({**ARDUCOPTER, "MAV_SYSID": (sysid, INT16)})

@@ -6,7 +6,7 @@ a real one has about 900.
 
 from __future__ import annotations
 
-from sitl.params import INT32, REAL32, Value, read_table
+from sitl.params import INT32, REAL32, ParamSet, Value, read_table
 
 _TABLE = """
 BAT1_CAPACITY -1.0 BAT1_I_CHANNEL -1 BAT1_N_CELLS 4 BAT1_R_INTERNAL 0.005 BAT1_SOURCE 0 BAT1_V_CHARGED 4.05
@@ -105,3 +105,8 @@ def _families() -> dict[str, Value]:
 
 
 PX4: dict[str, Value] = {**read_table(_TABLE), **_families()}
+
+
+def px4_params(sysid: int) -> ParamSet:
+    """PX4's parameters for a quadrotor in simulation."""
+    return ParamSet({**PX4, "MAV_SYS_ID": (sysid, INT32)})

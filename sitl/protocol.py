@@ -8,22 +8,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from groundstation.mavlink.codec import Encoder, Frame, message_id, message_name
+from sitl.body import Body
+from sitl.config import VehicleConfig
 from sitl.messages import MAKERS
 from sitl.params import ParamSet
-from sitl.wire import Fields, unpack, whole
-
-if TYPE_CHECKING:
-    from sitl.world import VehicleConfig, World
+from sitl.wire import V1_LAST_ID, Fields, unpack, whole
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 Command = Callable[[tuple[float, ...], Frame], int | None]
 _TEXT_BYTES = 50
 _PARAMS_PER_TICK = 20  # about 1000 a second, as PX4 was seen to send them
 _TYPE_GCS = 6
-V1_LAST_ID = 255
 _ITEM_PATIENCE_NS = 250_000_000
 _ITEM_TRIES = 20
 MISSION_ACCEPTED, MISSION_UNSUPPORTED, MISSION_BAD_X, MISSION_BAD_Y, MISSION_BAD_SEQUENCE = 0, 3, 10, 11, 13
@@ -45,7 +43,8 @@ class Protocol:
     """One vehicle's MAVLink conversation.
 
     Attributes:
-        index: row of the vehicle in the world.
+        body: the vehicle that it speaks for.
+        armed: whether the motors may turn.
         sysid, compid: its MAVLink address.
         encoder: makes its frames and numbers them.
         params: its parameters.
@@ -58,8 +57,9 @@ class Protocol:
     version_fields: ClassVar[Fields] = {}
     commands_to_system_0 = False
 
-    def __init__(self, world: World, index: int, config: VehicleConfig, params: ParamSet) -> None:
-        self.world, self.index, self.config = world, index, config
+    def __init__(self, body: Body, config: VehicleConfig, params: ParamSet) -> None:
+        self.body, self.config = body, config
+        self.armed = False
         self.sysid, self.compid = config.sysid, 1
         self.encoder = Encoder(config.sysid, self.compid, version=2 if config.mavlink_version == 2 else 1)
         self.params = params
@@ -104,7 +104,7 @@ class Protocol:
     def send(self, name: str, **fields: Any) -> None:
         """Sends one message; what MAVLink 1 cannot carry is left out there, as the firmwares do."""
         if self.encoder.version == 2 or message_id(name) <= V1_LAST_ID:
-            self.world.emit(self.index, self.encoder.encode(name, **fields))
+            self.body.emit(self.encoder.encode(name, **fields))
 
     def text(self, severity: int, message: str) -> None:
         """Sends a STATUSTEXT, in chunks of 50 bytes when it is longer."""
@@ -153,7 +153,7 @@ class Protocol:
 
     def _on_heartbeat(self, fields: Fields, _frame: Frame) -> None:
         if fields["type"] == _TYPE_GCS:
-            self.gcs_heard_ns = self.world.now_ns
+            self.gcs_heard_ns = self.body.now_ns
 
     def _on_ping(self, fields: Fields, frame: Frame) -> None:
         if fields["target_system"] == 0 and fields["target_component"] == 0:
@@ -167,13 +167,13 @@ class Protocol:
 
     def _on_timesync(self, fields: Fields, _frame: Frame) -> None:
         if fields["tc1"] == 0:
-            self.send("TIMESYNC", tc1=self.world.vehicle_time_of(self.index), ts1=fields["ts1"])
+            self.send("TIMESYNC", tc1=self.body.own_time_ns, ts1=fields["ts1"])
 
     def _on_setup_signing(self, fields: Fields, _frame: Frame) -> None:
         """Takes a key, or gives its own up for one of zeros; not while armed, as ArduPilot."""
-        if not self.world.autopilots[self.index].armed:
+        if not self.armed:
             key = bytes(fields["secret_key"])
-            self.world.signing[self.index].set_key(key if any(key) else None)
+            self.body.signing.set_key(key if any(key) else None)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -205,17 +205,16 @@ class Protocol:
             return FAILED
         name = message_name(whole(params[0])) or ""
         interval_us = min(whole(params[1]), 10**12)
-        streams, now_ns = self.world.streams, self.world.now_ns
         if interval_us == 0:  # the default rate
             rate = self.default_rates_hz().get(name, 0.0)
             interval_ns = round(1e9 / rate) if rate else 0
         else:
             interval_ns = max(interval_us, 0) * 1000
-        return ACCEPTED if streams.set_interval(self.index, name, interval_ns, now_ns) else DENIED
+        return ACCEPTED if self.body.set_interval(name, interval_ns) else DENIED
 
     def _get_interval(self, params: tuple[float, ...], _frame: Frame) -> int:
         name = message_name(whole(params[0])) or ""
-        interval = self.world.streams.interval(self.index, name)
+        interval = self.body.interval(name)
         interval_us = 0 if interval is None else (interval // 1000 or -1)
         self.send("MESSAGE_INTERVAL", message_id=whole(params[0]) & 0xFFFF, interval_us=interval_us)
         return ACCEPTED
@@ -232,7 +231,7 @@ class Protocol:
         elif name == "PROTOCOL_VERSION":
             self.send(name, version=200, min_version=100, max_version=200)
         elif name in MAKERS:
-            return ACCEPTED if self.world.send_now(self.index, name) else DENIED
+            return ACCEPTED if self.body.send_now(name) else DENIED
         else:
             return DENIED
         return ACCEPTED
@@ -347,7 +346,7 @@ class Protocol:
     def _ask_item(self, frame: Frame) -> None:
         upload = self._upload
         if upload is not None:
-            upload["asked_ns"], upload["from"] = self.world.now_ns, frame
+            upload["asked_ns"], upload["from"] = self.body.now_ns, frame
             self.send(
                 "MISSION_REQUEST_INT",
                 target_system=frame.sysid,
@@ -384,7 +383,7 @@ class Protocol:
     def ask_again(self) -> None:
         """Repeats the request for a mission item that has not come; gives an upload up after a while."""
         upload = self._upload
-        if upload is None or self.world.now_ns - upload["asked_ns"] < _ITEM_PATIENCE_NS:
+        if upload is None or self.body.now_ns - upload["asked_ns"] < _ITEM_PATIENCE_NS:
             return
         upload["tries"] = 0 if len(upload["items"]) != upload.get("stuck_at") else upload["tries"] + 1
         upload["stuck_at"] = len(upload["items"])

@@ -7,12 +7,14 @@ can be flown in them.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from groundstation.mavlink.codec import Frame
-from sitl.autopilot import IN_AIR, LANDED, LANDING, SECOND, TAKING_OFF, Autopilot, Boot
+from sitl.autopilot import IN_AIR, LANDED, LANDING, TAKING_OFF, Autopilot
+from sitl.body import Body
+from sitl.config import SECOND, Boot, VehicleConfig
 from sitl.frames import is_place
-from sitl.params import px4_params
+from sitl.params_px4 import px4_params
 from sitl.protocol import (
     ACCEPTED,
     DENIED,
@@ -26,9 +28,6 @@ from sitl.protocol import (
 from sitl.setpoints import NOTHING, read_px4
 from sitl.vision import LOCAL_FRD, LOCAL_NED, Vision
 from sitl.wire import Fields, whole
-
-if TYPE_CHECKING:
-    from sitl.world import VehicleConfig, World
 
 Mode = tuple[int, int]
 MANUAL, ALTCTL, POSCTL, ACRO, OFFBOARD, STABILIZED = (1, 0), (2, 0), (3, 0), (5, 0), (6, 0), (7, 0)
@@ -78,8 +77,8 @@ class Px4(Autopilot):
         "flight_custom_version": b"\x01\x17gssitl",
     }
 
-    def __init__(self, world: World, index: int, config: VehicleConfig, boot: Boot) -> None:
-        super().__init__(world, index, config, px4_params(config.sysid), boot)
+    def __init__(self, body: Body, config: VehicleConfig, boot: Boot) -> None:
+        super().__init__(body, config, px4_params(config.sysid), boot)
         self.intention: Mode = LOITER
         self.failsafe: Mode | None = None
         self._after_flight: Mode = LOITER
@@ -169,7 +168,7 @@ class Px4(Autopilot):
     def setpoint_alive(self) -> bool:
         """Whether the last setpoint is younger than COM_OF_LOSS_T."""
         point = self.setpoint
-        return point is not None and self.world.now_ns - point.t_ns <= self.params["COM_OF_LOSS_T"] * SECOND
+        return point is not None and self.body.now_ns - point.t_ns <= self.params["COM_OF_LOSS_T"] * SECOND
 
     def arm_refusal(self) -> str | None:
         """Why arming would be refused."""
@@ -256,20 +255,20 @@ class Px4(Autopilot):
 
     def _takeoff_target(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> tuple[float, float, float]:
         """Where a takeoff ends, ENU; heights below MIS_TAKEOFF_ALT are raised to it, as PX4 does."""
-        world = self.world
-        x, y, z = self.pos_est()
-        home_z = float(world.home_enu_m[2, self.index])
+        body = self.body
+        x, y, z = self.body.pos_enu_m
+        home_z = body.home_enu_m[2]
         lowest = (z if self.landed else home_z) + self.params["MIS_TAKEOFF_ALT"]
         if not abs(alt_amsl_m) <= 100_000.0:  # NaN, most of all: "as usual"
             self.text(INFO, f"Using default takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
             top = lowest
         else:
-            top = alt_amsl_m - world.config.home_alt_m
+            top = alt_amsl_m - body.home_alt_m
             if top < lowest - 0.1:
                 self.text(CRITICAL, f"Using minimum takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
             top = max(top, lowest)
         if is_place(lat_deg, lon_deg, 0.0):
-            x, y, _ = world.geodesy.enu_from_geodetic(lat_deg, lon_deg, world.config.home_alt_m).tolist()
+            x, y, _ = body.geodesy.enu_from_geodetic(lat_deg, lon_deg, body.home_alt_m).tolist()
         return x, y, max(top, z)
 
     def _takeoff_command(self, params: tuple[float, ...], _frame: Frame) -> int:
@@ -286,29 +285,29 @@ class Px4(Autopilot):
 
     def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if params[1] > 0:
-            self.limit_speed(xy_m_s=params[1])
+            self.body.limit_speed(xy_m_s=params[1])
         return ACCEPTED
 
     def _reposition(self, params: tuple[float, ...], _frame: Frame) -> int:
         if not self.has_position or not self.armed or self.landed:
             return DENIED
-        x, y, z = self.pos_est()
+        x, y, z = self.body.pos_enu_m
         lat, lon, alt = params[4:7]
         if is_place(lat, lon, 0.0):
-            x, y, _ = self.world.geodesy.enu_from_geodetic(lat, lon, self.world.config.home_alt_m).tolist()
+            x, y, _ = self.body.geodesy.enu_from_geodetic(lat, lon, self.body.home_alt_m).tolist()
         if abs(alt) <= 100_000.0:
-            z = alt - self.world.config.home_alt_m
+            z = alt - self.body.home_alt_m
         self._change_mode(LOITER)
         self._entered, self._hold = LOITER, (x, y, z)
-        self.command(self._hold, NOTHING)
+        self.body.command(self._hold, NOTHING)
         return ACCEPTED
 
     # -- setpoints ----------------------------------------------------------------------------------------------
 
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
-        origin = self.world.origin_enu_m[:, self.index].tolist()
+        origin = self.body.origin_enu_m
         try:
-            point = read_px4(fields, self.world.now_ns, origin, self.yaw_enu())
+            point = read_px4(fields, self.body.now_ns, origin, self.body.yaw_enu_rad)
         except ValueError as error:
             self.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED {error}\t")
             return
@@ -321,16 +320,15 @@ class Px4(Autopilot):
         point = self.setpoint
         if point is None:
             return
-        self.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
+        self.body.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Moves the estimator's origin, and LOCAL_POSITION_NED with it."""
         lat, lon, alt = fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
         if not self.has_position or not is_place(lat, lon, alt):
             return
-        world = self.world
-        world.origin_enu_m[:, self.index] = world.geodesy.enu_from_geodetic(lat, lon, alt)
-        world.send_now(self.index, "GPS_GLOBAL_ORIGIN")
+        self.body.set_origin(self.body.geodesy.enu_from_geodetic(lat, lon, alt))
+        self.body.send_now("GPS_GLOBAL_ORIGIN")
 
     # -- flight -------------------------------------------------------------------------------------------------
 
@@ -342,7 +340,7 @@ class Px4(Autopilot):
             if point is None or not self.setpoint_alive():
                 return False
             up, top = point.vel_enu_m_s[2], point.pos_enu_m[2]
-            return (up is not None and up > 0.0) or (top is not None and top > self.pos_est()[2] + 0.05)
+            return (up is not None and up > 0.0) or (top is not None and top > self.body.pos_enu_m[2] + 0.05)
         return mode in (TAKEOFF, MISSION)
 
     def wants_down(self) -> bool:
@@ -354,7 +352,7 @@ class Px4(Autopilot):
                 return False
             down, bottom = point.vel_enu_m_s[2], point.pos_enu_m[2]
             if bottom is not None:
-                return bottom < self.pos_est()[2] - 0.05
+                return bottom < self.body.pos_enu_m[2] - 0.05
             return down is not None and down < -0.02
         return mode == LAND or self.failsafe == POSCTL or (mode == RTL and self._rtl_stage == 2)
 
@@ -372,12 +370,11 @@ class Px4(Autopilot):
         self._disarm_by_itself(now_ns)
         if not self.armed:
             return
-        dynamics, i = self.world.dynamics, self.index
-        if not self.taken_off and not dynamics.flying[i]:
+        if not self.taken_off and not self.body.flying:
             self._ramp_up(now_ns)
             return
         if self.landed and not self.wants_up():
-            self.set_flying(False)
+            self.body.flying = False
             return
         self._act(now_ns)
 
@@ -393,7 +390,7 @@ class Px4(Autopilot):
             self.landed = False
             self.text(INFO, "Takeoff detected\t")
         if ramped >= _LIFT_OF_RAMP:
-            self.set_flying(True)
+            self.body.flying = True
             self.taken_off = True
             self._entered = None
 
@@ -490,41 +487,41 @@ class Px4(Autopilot):
         elif mode == MISSION:
             self.flight.act(entering)
         elif entering:
-            x, y, z = self._hold = self.pos_est()
-            self.limit_speed()
+            x, y, z = self._hold = self.body.pos_enu_m
+            self.body.limit_speed()
             if self.failsafe == POSCTL:  # the throttle stick that is not there counts as pulled down
-                self.command((x, y, None), (None, None, -_SINK_M_S))
+                self.body.command((x, y, None), (None, None, -_SINK_M_S))
             else:
-                self.command((x, y, z), NOTHING)
+                self.body.command((x, y, z), NOTHING)
 
     def _act_takeoff(self, entering: bool) -> None:
-        target = self._takeoff_to or self.pos_est()
+        target = self._takeoff_to or self.body.pos_enu_m
         if entering:
-            self.limit_speed(up=self.params["MPC_TKO_SPEED"])
-            self.command(target, NOTHING)
-        x, y, z = self.pos_est()
-        start = float(self.world.dynamics.ground_m[self.index])
+            self.body.limit_speed(up=self.params["MPC_TKO_SPEED"])
+            self.body.command(target, NOTHING)
+        x, y, z = self.body.pos_enu_m
+        start = self.body.ground_m
         if not self.landed and z > target[2] - min(0.8, 0.2 * (target[2] - start)):
             # the altitude counts as reached within NAV_MC_ALT_RAD; Hold keeps the takeoff's altitude
             self._takeoff_to = None
             self._intend(LOITER)
             self._entered = LOITER
             self._hold = (x, y, target[2])
-            self.command(self._hold, NOTHING)
+            self.body.command(self._hold, NOTHING)
 
     def _act_land(self, entering: bool) -> None:
-        x, y, z = self.pos_est()
+        x, y, z = self.body.pos_enu_m
         if entering:
             self._hold = (x, y, z)
-            self.limit_speed()
-        height = z - float(self.world.home_enu_m[2, self.index])
+            self.body.limit_speed()
+        height = z - self.body.home_enu_m[2]
         slow, fast = self.params["MPC_LAND_SPEED"], self.params["MPC_Z_V_AUTO_DN"]
         share = min(max((height - 5.0) / 5.0, 0.0), 1.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1
-        profile = self.world.profile_of(self.index)
+        profile = self.body.profile
         speed = min(slow + share * (fast - slow), profile.speed_down_max_m_s)
         if height < profile.crawl_below_m:
             speed = min(speed, profile.crawl_m_s)
-        self.command((self._hold[0], self._hold[1], None), (None, None, -speed))
+        self.body.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _rtl_top(self, z: float, home_z: float, far: float) -> float:
         """Height of the way back: a cone around home where RTL_CONE_ANG says so, never below the present height."""
@@ -544,31 +541,31 @@ class Px4(Autopilot):
         return z if wanted < z else min(wanted, highest)
 
     def _act_rtl(self, entering: bool) -> None:
-        x, y, z = self.pos_est()
-        home = self.world.home_enu_m[:, self.index].tolist()
+        x, y, z = self.body.pos_enu_m
+        home = self.body.home_enu_m
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
             self._hold = (x, y, self._rtl_top(z, home[2], far))
-            self.limit_speed()
+            self.body.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage = 1
             self._hold = (home[0], home[1], self._hold[2])
         if self._rtl_stage == 1 and far < 0.5:
             waits = self.params["RTL_LAND_DELAY"] != 0.0
             self._rtl_stage = 3 if waits else 2
-            self._above_home_ns = self.world.now_ns
+            self._above_home_ns = self.body.now_ns
             self._hold = (home[0], home[1], min(z, home[2] + self.params["RTL_DESCEND_ALT"]) if waits else z)
         if self._rtl_stage == 3:
             delay_s = self.params["RTL_LAND_DELAY"]
             if abs(z - self._hold[2]) > 0.8:  # NAV_MC_ALT_RAD; the wait begins at RTL_DESCEND_ALT
-                self._above_home_ns = self.world.now_ns
-            elif 0.0 <= delay_s <= (self.world.now_ns - self._above_home_ns) / SECOND:
+                self._above_home_ns = self.body.now_ns
+            elif 0.0 <= delay_s <= (self.body.now_ns - self._above_home_ns) / SECOND:
                 self._rtl_stage, self._hold = 2, (home[0], home[1], z)
         if self._rtl_stage == 2:
             self._act_land(False)
         else:
-            self.command(self._hold, NOTHING)
+            self.body.command(self._hold, NOTHING)
 
     def vision_enabled(self) -> bool:
         """EKF2_EV_CTRL has the bits of horizontal and vertical position."""

@@ -8,21 +8,41 @@ Refuses to be a filter: the belief follows the samples with a short lag.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import Protocol
 
 from groundstation.mavlink.codec import Frame
+from sitl.body import Body
+from sitl.config import SECOND, Boot
 from sitl.protocol import MSG_ATT_POS_MOCAP, MSG_ODOMETRY, MSG_VICON_POSITION_ESTIMATE, MSG_VISION_POSITION_ESTIMATE
 from sitl.wire import Fields
 
-if TYPE_CHECKING:
-    from sitl.autopilot import Autopilot
-
-SECOND = 1_000_000_000
 _WINDOW_NS = SECOND // 2
 _SAMPLES_MIN = 10  # in half a second: 20 Hz; 30 to 50 Hz are asked for
 _LOST_NS = SECOND
 _FOLLOW = 0.2
 LOCAL_NED, LOCAL_FRD, BODY_FRD = 1, 20, 12
+
+
+class Sighted(Protocol):
+    """An autopilot whose estimator takes positions from outside."""
+
+    body: Body
+    boot: Boot
+    messages: dict[int, Callable[[Fields, Frame], None]]
+
+    @property
+    def age_ns(self) -> int:
+        """Time since power-up."""
+
+    def vision_enabled(self) -> bool:
+        """Whether its parameters let it."""
+
+    def vision_has_origin(self) -> bool:
+        """Whether it may before somebody has set an origin."""
+
+    def position_found(self) -> None:
+        """Called when the estimator has found its position."""
 
 
 class Vision:
@@ -34,7 +54,7 @@ class Vision:
         odometry_frames: values of ODOMETRY.frame_id that it takes.
     """
 
-    def __init__(self, pilot: Autopilot, messages: tuple[int, ...], odometry_frames: tuple[int, ...]) -> None:
+    def __init__(self, pilot: Sighted, messages: tuple[int, ...], odometry_frames: tuple[int, ...]) -> None:
         self._pilot = pilot
         self._odometry_frames = odometry_frames
         self._arrivals: list[int] = []
@@ -61,33 +81,31 @@ class Vision:
             return
         self._stamp_us = stamp_us
         self._north_east_down = place
-        self._arrivals.append(pilot.world.now_ns)
-        world, i = pilot.world, pilot.index
-        if world.has_position[i] and not world.has_gps[i]:
+        self._arrivals.append(pilot.body.now_ns)
+        body = pilot.body
+        if body.has_position and not body.has_gps:
             north, east, down = place
-            origin = world.origin_enu_m[:, i]
-            believed = pilot.pos_est()
-            for axis, seen in enumerate((origin[0] + east, origin[1] + north, origin[2] - down)):
-                world.estimator.offset_enu_m[axis, i] += _FOLLOW * (seen - believed[axis])
-            world.estimator.refresh()
+            origin = body.origin_enu_m
+            believed = body.pos_enu_m
+            seen = (origin[0] + east, origin[1] + north, origin[2] - down)
+            body.correct([_FOLLOW * (seen[axis] - believed[axis]) for axis in range(3)])
 
     def tick(self, now_ns: int) -> None:
         """Finds and loses the position."""
         pilot = self._pilot
-        world, i = pilot.world, pilot.index
+        body = pilot.body
         while self._arrivals and now_ns - self._arrivals[0] > _WINDOW_NS and len(self._arrivals) > 1:
             self._arrivals.pop(0)
-        if world.has_gps[i]:
+        if body.has_gps:
             return
-        if world.has_position[i]:
+        if body.has_position:
             if now_ns - self._arrivals[-1] > _LOST_NS:
-                world.has_position[i] = False
+                body.has_position = False
                 self._arrivals.clear()
             return
         settled = pilot.age_ns >= pilot.boot.position_ns and pilot.vision_has_origin()
         if settled and len(self._arrivals) > _SAMPLES_MIN:
             north, east, down = self._north_east_down
-            x, y, z = pilot.pos_est()
-            world.origin_enu_m[:, i] = (x - east, y - north, z + down)
-            world.has_origin[i] = True
+            x, y, z = body.pos_enu_m
+            body.set_origin((x - east, y - north, z + down))
             pilot.position_found()

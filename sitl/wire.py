@@ -12,6 +12,8 @@ from typing import Any
 from groundstation.mavlink.codec import Frame, Layout, layout, message_name
 
 Fields = dict[str, Any]
+V1_LAST_ID = 255
+"""Messages with larger ids do not exist in MAVLink 1."""
 
 
 @cache

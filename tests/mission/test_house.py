@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import groundstation
+import sitl
 
 ROOT = Path(groundstation.__file__).parent
+EMULATOR = Path(sitl.__file__).parent
 MISSION = ROOT / "mission"
 FIELDS_MAX, METHODS_MAX = 15, 20
 LINES_MAX, BYTES_MAX = 500, 24_000
@@ -82,13 +84,58 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
         left = {name: others for name, others in left.items() if name in wanted}
 
 
+def _modules(root: Path) -> dict[str, Path]:
+    """Every module of a package by its name."""
+    paths = {".".join((root.name, *p.relative_to(root).with_suffix("").parts)): p for p in root.rglob("*.py")}
+    return {name.removesuffix(".__init__"): path for name, path in paths.items()}
+
+
 def test_nobody_imports_in_a_circle() -> None:
-    paths = {".".join(("groundstation", *p.relative_to(ROOT).with_suffix("").parts)): p for p in ROOT.rglob("*.py")}
-    paths = {name.removesuffix(".__init__"): path for name, path in paths.items()}
-    graph = {name: _imports(path, set(paths)) for name, path in paths.items()}
-    assert circles(graph) == []
+    for root in (ROOT, EMULATOR):
+        paths = _modules(root)
+        graph = {name: _imports(path, set(paths)) for name, path in paths.items()}
+        assert len(graph) > 20
+        assert circles(graph) == []
 
 
 def test_a_circle_is_found() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
     assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+ALLOWED_TO_THE_EMULATOR = {"groundstation.mavlink.codec"}
+"""The emulator is the witness of our own flights: it shares no code with them but the bytes on the wire."""
+
+
+def _outside(path: Path) -> set[str]:
+    """Modules of groundstation that a file imports; of what is taken from a module, the module."""
+    ours = set(_modules(ROOT))
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names} & ours
+            found |= inner or {node.module}
+    return {name for name in found if name.split(".")[0] == "groundstation"}
+
+
+def test_every_module_of_the_emulator_sees_nothing_of_groundstation_but_the_codec() -> None:
+    seen = {name: _outside(path) for name, path in _modules(EMULATOR).items()}
+    assert seen["sitl.wire"] == ALLOWED_TO_THE_EMULATOR  # so that an empty search is no success
+    wrong = {name: sorted(others - ALLOWED_TO_THE_EMULATOR) for name, others in seen.items()}
+    assert {name: others for name, others in wrong.items() if others} == {}
+
+
+def test_a_forbidden_import_of_the_emulator_is_found(tmp_path: Path) -> None:
+    sly = tmp_path / "sly.py"
+    sly.write_text("def f():\n    from groundstation.mavlink import clocks\n    import groundstation.core.frames\n")
+    assert _outside(sly) == {"groundstation.mavlink.clocks", "groundstation.core.frames"}
+
+
+def test_the_codec_is_bytes_and_layouts_alone() -> None:
+    """What the emulator shares by way of the codec: how frames are cut and laid out, and nothing that decides."""
+    paths, shared = _modules(ROOT), set(ALLOWED_TO_THE_EMULATOR)
+    while more := {other for name in shared for other in _outside(paths[name])} - shared:
+        shared |= more
+    assert shared == {f"groundstation.mavlink.{name}" for name in ("checksums", "codec", "layouts", "splitting")}

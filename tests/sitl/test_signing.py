@@ -30,7 +30,7 @@ class Peer:
     def use(self, key: bytes | None) -> None:
         signing = self.mav.signing
         signing.secret_key, signing.sign_outgoing, signing.link_id = key, key is not None, 9
-        signing.timestamp = (self.world.unix_us() - 1_420_070_400_000_000) // 10
+        signing.timestamp = (self.world.state.unix_us() - 1_420_070_400_000_000) // 10
 
     def run(self, seconds: float) -> list[Any]:
         """Types of what is heard in that time; what pymavlink does not accept is BAD_DATA."""

@@ -26,7 +26,7 @@ from sitl.faults import Fault, load_faults
 from sitl.fleet import fleet
 from sitl.profiles import PROFILES
 from sitl.server import Server
-from sitl.telemetry import RATES_HZ
+from sitl.streams import RATES_HZ
 from sitl.world import PERSONALITIES, WindConfig, WorldConfig
 
 _ROWS_SHOWN = 30

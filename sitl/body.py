@@ -1,0 +1,251 @@
+"""What an autopilot sees of its vehicle, and what it can do to it: the only door from the one to the other.
+
+Estimates, motors, clock, GPS receiver, the link to the ground. Refuses to show other vehicles, and truths that no
+sensor tells (contact with the ground, the ground's height beneath and the thrust are taken for sensed).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from sitl.frames import Array, Geodesy
+from sitl.profiles import Profile
+from sitl.setpoints import Triple
+from sitl.signing import VehicleSigning
+from sitl.state import State
+
+Place = tuple[float, float, float]
+
+
+class Radio(NamedTuple):
+    """What a vehicle can do beside flying, each for the vehicle of that index.
+
+    Attributes:
+        emit: sends a frame.
+        send_now: sends one message of a streamed type out of turn; returns whether it could be made.
+        reboot: powers it off and on again.
+    """
+
+    emit: Callable[[int, bytes], None]
+    send_now: Callable[[int, str], bool]
+    reboot: Callable[[int], None]
+
+
+class Body:
+    """One vehicle as its autopilot has it.
+
+    Args:
+        state: of all vehicles.
+        index: which of them.
+        radio: what it sends with.
+
+    Attributes:
+        index: row of the vehicle in the world.
+        profile: how it flies.
+        signing: its signatures.
+        geodesy: between the world's frame and the globe.
+        home_alt_m: height of the world's origin above the sea.
+    """
+
+    def __init__(self, state: State, index: int, radio: Radio) -> None:
+        self._state, self.index, self._radio = state, index, radio
+        self._dynamics = state.dynamics
+        self.profile: Profile = state.profiles[index]
+        self.signing: VehicleSigning = state.signing[index]
+        self.geodesy: Geodesy = state.geodesy
+        self.home_alt_m = state.config.home_alt_m
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    @property
+    def now_ns(self) -> int:
+        """The world's clock."""
+        return self._state.now_ns
+
+    @property
+    def own_time_ns(self) -> int:
+        """Time since power-up as the vehicle counts it."""
+        return int(self._state.vehicle_time_ns()[self.index])
+
+    # -- estimates ----------------------------------------------------------------------------------------------
+
+    @property
+    def pos_enu_m(self) -> Place:
+        """Believed position in the world's frame."""
+        i = self.index
+        x, y, z = (self._dynamics.pos_enu_m[:, i] + self._state.estimator.pos_error[:, i]).tolist()
+        return x, y, z
+
+    @property
+    def yaw_enu_rad(self) -> float:
+        """Heading from east counter-clockwise."""
+        return float(self._dynamics.yaw_enu_rad[self.index])
+
+    @property
+    def has_gps(self) -> bool:
+        """Whether there is a GPS receiver."""
+        return bool(self._state.has_gps[self.index])
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the estimator has a position."""
+        return bool(self._state.has_position[self.index])
+
+    @has_position.setter
+    def has_position(self, found: bool) -> None:
+        self._state.has_position[self.index] = found
+
+    @property
+    def position_good(self) -> bool:
+        """Whether it has one that can be flown by."""
+        return self.has_position and not self._state.invalid[self.index]
+
+    @property
+    def has_origin(self) -> bool:
+        """Whether the estimator has an origin."""
+        return bool(self._state.has_origin[self.index])
+
+    @property
+    def origin_enu_m(self) -> Place:
+        """Where LOCAL_POSITION_NED begins."""
+        x, y, z = self._state.origin_enu_m[:, self.index].tolist()
+        return x, y, z
+
+    @property
+    def home_enu_m(self) -> Place:
+        """Home."""
+        x, y, z = self._state.home_enu_m[:, self.index].tolist()
+        return x, y, z
+
+    def set_origin(self, place_enu_m: Sequence[float] | Array | None = None) -> None:
+        """Gives the estimator its origin; None takes the place where it stands, as well as GPS knows it."""
+        state, i = self._state, self.index
+        state.has_origin[i] = True
+        if place_enu_m is None:
+            place_enu_m = self._dynamics.pos_enu_m[:, i] + state.estimator.origin_error_enu_m[:, i]
+        state.origin_enu_m[:, i] = place_enu_m
+
+    def set_home(self, place_enu_m: Sequence[float] | Array) -> None:
+        """Sets home."""
+        self._state.home_enu_m[:, self.index] = place_enu_m
+
+    def correct(self, by_enu_m: Sequence[float]) -> None:
+        """Moves the believed position."""
+        estimator = self._state.estimator
+        for axis in range(3):
+            estimator.offset_enu_m[axis, self.index] += by_enu_m[axis]
+        estimator.refresh()
+
+    # -- ground and motors --------------------------------------------------------------------------------------
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether it touches the ground."""
+        return bool(self._dynamics.on_ground[self.index])
+
+    @property
+    def ground_m(self) -> float:
+        """Height of the ground beneath it, in the world's frame."""
+        return float(self._dynamics.ground_m[self.index])
+
+    @property
+    def above_ground_m(self) -> float:
+        """Height above it."""
+        return float(self._dynamics.pos_enu_m[2, self.index]) - self.ground_m
+
+    @property
+    def thrust_m_s2(self) -> float:
+        """Thrust over mass."""
+        return float(self._dynamics.thrust_m_s2[self.index])
+
+    @property
+    def flying(self) -> bool:
+        """Whether the motors lift."""
+        return bool(self._dynamics.flying[self.index])
+
+    @flying.setter
+    def flying(self, lift: bool) -> None:
+        self._dynamics.flying[self.index] = lift
+
+    def stop_motors(self) -> None:
+        """Ends their thrust at once."""
+        self.flying = False
+        self._dynamics.thrust_m_s2[self.index] *= 0.0
+
+    def power_motors(self, powered: bool) -> None:
+        """Gives the motors what they can take, or nothing."""
+        self._dynamics.thrust_share[self.index] = self._state.motor_share[self.index] if powered else 0.0
+
+    def command(
+        self,
+        pos_enu_m: Triple,
+        vel_enu_m_s: Triple,
+        yaw_enu_rad: float | None = None,
+        yaw_rate_rad_s: float | None = None,
+    ) -> None:
+        """Tells it what to fly; on each axis a position, a velocity, or both (then it is feed-forward)."""
+        dynamics, i = self._dynamics, self.index
+        for axis in range(3):
+            pos, vel = pos_enu_m[axis], vel_enu_m_s[axis]
+            dynamics.vel_sp_enu_m_s[axis, i] = 0.0 if vel is None else vel
+            if pos is None:
+                dynamics.pos_mask[axis, i] = 0.0
+            else:
+                dynamics.pos_mask[axis, i] = 1.0
+                dynamics.pos_sp_enu_m[axis, i] = pos
+                dynamics.positions_used = True
+        if yaw_rate_rad_s is not None:
+            dynamics.yaw_mask[i] = False
+            dynamics.yaw_rate_sp_rad_s[i] = yaw_rate_rad_s
+            dynamics.yaw_used = True
+        elif yaw_enu_rad is not None:
+            dynamics.yaw_mask[i] = True
+            dynamics.yaw_sp_enu_rad[i] = yaw_enu_rad
+            dynamics.yaw_used = True
+        elif not dynamics.yaw_mask[i]:
+            dynamics.yaw_mask[i] = True
+            dynamics.yaw_sp_enu_rad[i] = dynamics.yaw_enu_rad[i]
+
+    def limit_speed(self, xy_m_s: float | None = None, up: float | None = None, down: float | None = None) -> None:
+        """Sets the limits of the position loop; None takes the profile's."""
+        profile, limits = self.profile, self._dynamics.speed_limit_m_s
+        limits[0, self.index] = min(xy_m_s or math.inf, profile.speed_xy_max_m_s)
+        limits[1, self.index] = min(up or math.inf, profile.speed_up_max_m_s)
+        limits[2, self.index] = min(down or math.inf, profile.speed_down_max_m_s)
+
+    # -- link ---------------------------------------------------------------------------------------------------
+
+    @property
+    def talking(self) -> bool:
+        """Whether it has sent its first bytes."""
+        return bool(self._state.talking[self.index])
+
+    @talking.setter
+    def talking(self, begun: bool) -> None:
+        self._state.talking[self.index] = begun
+
+    def emit(self, frame: bytes) -> None:
+        """Sends a frame, once it talks."""
+        self._radio.emit(self.index, frame)
+
+    def send_now(self, name: str) -> bool:
+        """Sends one message of a streamed type out of turn. Returns whether it could be made."""
+        return self._radio.send_now(self.index, name)
+
+    def set_rates(self, rates_hz: Mapping[str, float]) -> None:
+        """Sets all streams: those that are not named are off."""
+        self._state.streams.set_rates(self.index, rates_hz, self.now_ns)
+
+    def set_interval(self, name: str, interval_ns: int) -> bool:
+        """Sets one stream, 0 for off. Returns False for a type that is never streamed."""
+        return self._state.streams.set_interval(self.index, name, interval_ns, self.now_ns)
+
+    def interval(self, name: str) -> int | None:
+        """Interval of a stream in ns, 0 for off, None for a type that is never streamed."""
+        return self._state.streams.interval(self.index, name)
+
+    def reboot(self) -> None:
+        """Powers itself off and on again."""
+        self._radio.reboot(self.index)

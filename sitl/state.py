@@ -1,0 +1,143 @@
+"""The state of all vehicles of a world: bodies, beliefs, clocks, what is known and what is broken.
+
+Structures of arrays, one column for each vehicle. Refuses to move anything and to send anything: ``world`` steps it,
+autopilots reach it through their ``Body``, messages are made from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl import frames
+from sitl.config import SECOND, WorldConfig
+from sitl.dynamics import Dynamics
+from sitl.environment import Downwash, Wind
+from sitl.estimator import Estimator
+from sitl.frames import Array, Geodesy
+from sitl.pilot import Pilot
+from sitl.profiles import PROFILES
+from sitl.signing import VehicleSigning
+from sitl.streams import Streams
+
+
+class State:
+    """What is, and what is believed, of n vehicles.
+
+    Args:
+        config: see ``WorldConfig``.
+        streamed: message types that can be streamed, in the order in which they are sent.
+        rng_estimate, rng_wind: of the estimates' errors, and of gusts.
+
+    Attributes:
+        now_ns: the clock.
+        dynamics, estimator, streams, geodesy: its parts.
+        pilots: one per vehicle, once they are powered up.
+        origin_enu_m, home_enu_m: of each estimator, and home, shape (3, n).
+        has_position, has_origin: the estimator has them, shape (n,).
+        has_gps: whether there is a GPS receiver, shape (n,).
+        talking: has sent its first bytes, shape (n,).
+        frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
+        motor_share: thrust that the motors can give (faults), 1 when sound, shape (n,).
+        muted: message types that some do not send (faults), shape (n,) each.
+        boot_ns: when each was powered up, shape (n,).
+        clock_offset_ns: by which each clock has jumped (faults), shape (n,).
+        signing: signatures of each vehicle.
+    """
+
+    def __init__(
+        self,
+        config: WorldConfig,
+        streamed: Sequence[str],
+        rng_estimate: np.random.Generator,
+        rng_wind: np.random.Generator,
+    ) -> None:
+        n = len(config.vehicles)
+        self.config, self.n = config, n
+        self.now_ns = config.start_ns
+        step_s = config.physics_step_ns / SECOND
+        self.profiles = tuple(PROFILES[vehicle.profile] for vehicle in config.vehicles)
+        self.estimator = Estimator([vehicle.noise for vehicle in config.vehicles], step_s, rng_estimate)
+        pads = np.array([vehicle.pad_enu_m for vehicle in config.vehicles], dtype=np.float64).T.copy()
+        yaws = np.array([vehicle.yaw_enu_rad for vehicle in config.vehicles], dtype=np.float64)
+        self.dynamics = Dynamics(
+            self.profiles,
+            pos_enu_m=pads,
+            yaw_enu_rad=yaws,
+            estimator=self.estimator,
+            step_s=step_s,
+            wind=self._wind(rng_wind, step_s),
+            downwash=self._downwash(),
+            floor_m=config.floor_m,
+        )
+        self.geodesy = Geodesy(config.home_lat_deg, config.home_lon_deg, config.home_alt_m)
+        self.streams = Streams(tuple(streamed), n, config.start_ns)
+        self.pilots: Sequence[Pilot] = ()
+        self.origin_enu_m, self.home_enu_m = pads.copy(), pads.copy()
+        self.has_position = np.zeros(n, dtype=bool)
+        self.has_origin = np.zeros(n, dtype=bool)
+        self.has_gps = np.array([vehicle.gps for vehicle in config.vehicles])
+        self.talking = np.zeros(n, dtype=bool)
+        self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self.frozen_pos_enu_m = pads.copy()
+        self.motor_share = np.ones(n)
+        self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
+        self.boot_ns = np.full(n, config.start_ns, dtype=np.int64)
+        self.clock_offset_ns = np.zeros(n, dtype=np.int64)
+        self._clock_slow = np.array([1.0 - profile.clock_rate for profile in self.profiles])
+        self._clock_drifts = bool(self._clock_slow.any())
+        self.signing = [
+            VehicleSigning(vehicle.signing_key, self.unix_us() if vehicle.gps else 0) for vehicle in config.vehicles
+        ]
+
+    @property
+    def any_invalid(self) -> bool:
+        """Whether any vehicle's position is not a number now."""
+        return bool(self.invalid.any())
+
+    def vehicle_time_ns(self) -> NDArray[np.int64]:
+        """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped."""
+        counted = self.now_ns - self.boot_ns
+        if self._clock_drifts:
+            counted = counted - np.rint(counted * self._clock_slow).astype(np.int64)
+        return np.asarray(np.maximum(counted + self.clock_offset_ns, 0))
+
+    def unix_us(self) -> int:
+        """The date, microseconds."""
+        return self.config.unix_start_us + (self.now_ns - self.config.start_ns) // 1000
+
+    def true_quat(self) -> Array:
+        """True attitude, FRD to NED, shape (4, n)."""
+        yaw = frames.yaw_ned_from_enu(self.dynamics.yaw_enu_rad)
+        return frames.quat_from_euler(*frames.euler_from_thrust(self.dynamics.up_enu, yaw), yaw)
+
+    def power_off(self, index: int) -> None:
+        """Forgets what a vehicle loses with its power."""
+        self.talking[index] = self.has_position[index] = self.has_origin[index] = False
+        self.boot_ns[index] = self.now_ns
+        self.clock_offset_ns[index] = 0
+        for name in self.streams.names:
+            self.streams.set_interval(index, name, 0, self.now_ns)
+
+    def _wind(self, rng: np.random.Generator, step_s: float) -> Wind | None:
+        wind = self.config.wind
+        if wind is None:
+            return None
+        return Wind(
+            mean_enu_m_s=wind.mean_enu_m_s,
+            gust_sigma_m_s=wind.gust_sigma_m_s,
+            gust_tau_s=wind.gust_tau_s,
+            n=self.n,
+            step_s=step_s,
+            rng=rng,
+        )
+
+    def _downwash(self) -> Downwash | None:
+        if not self.config.downwash:
+            return None
+        return Downwash(
+            np.array([profile.mass_kg for profile in self.profiles]),
+            np.array([profile.rotor_span_m for profile in self.profiles]),
+        )

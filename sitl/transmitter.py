@@ -1,0 +1,137 @@
+"""What the vehicles send: streamed messages made for all at once, frames of their own, datagrams on their links.
+
+Refuses to decide who sends what and when.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.mavlink.codec import encode_batch, message_id
+from sitl.messages import MAKERS, NEEDS_GPS, NEEDS_ORIGIN, NEEDS_POSITION
+from sitl.network import PERFECT, Channel
+from sitl.state import State
+from sitl.telemetry import View
+from sitl.wire import V1_LAST_ID
+
+_DATAGRAM_BYTES = 1200
+
+
+class Outgoing(NamedTuple):
+    """One datagram of one vehicle, at the time at which it arrives at the ground."""
+
+    t_ns: int
+    vehicle_index: int
+    data: bytes
+
+
+class _Late(NamedTuple):
+    """A datagram under way; ``order`` is never twice the same, so that what follows it is never compared."""
+
+    t_ns: int
+    order: int
+    vehicle: int
+    data: bytes
+
+
+class Transmitter:
+    """Sending of all vehicles of a world.
+
+    Args:
+        state: of the world.
+        downlinks: link from each vehicle.
+    """
+
+    def __init__(self, state: State, downlinks: Sequence[Channel]) -> None:
+        self._state, self._downlinks = state, downlinks
+        self._pending: dict[int, list[bytes]] = {}
+        self._under_way: list[_Late] = []
+        self._order = 0
+        self._sent: list[Outgoing] = []
+        self._view: View | None = None
+
+    def begin_step(self) -> None:
+        """Forgets what the vehicles believed: the state moves."""
+        self._view = None
+
+    def collect(self) -> list[Outgoing]:
+        """The list into which everything is put that arrives at the ground from now on, in order of arrival."""
+        self._sent = []
+        return self._sent
+
+    def emit(self, index: int, frame: bytes) -> None:
+        """Takes a frame that a vehicle sends now."""
+        if self._state.talking[index]:
+            self._pending.setdefault(index, []).append(frame)
+
+    def make(self, name: str, vehicles: NDArray[np.int64]) -> int:
+        """Makes one message type for some vehicles; returns how many were sent."""
+        state = self._state
+        able = state.talking[vehicles]
+        if name in NEEDS_POSITION:
+            able &= state.has_position[vehicles]
+        elif name in NEEDS_ORIGIN:
+            able &= state.has_origin[vehicles]
+        if name in NEEDS_GPS:
+            able &= state.has_gps[vehicles]
+        if name in state.muted:
+            able &= ~state.muted[name][vehicles]
+        if message_id(name) > V1_LAST_ID:
+            able &= np.array([state.pilots[i].encoder.version == 2 for i in vehicles])
+        if not able.all():
+            vehicles = vehicles[able]
+        if not len(vehicles):
+            return 0
+        if self._view is None:
+            self._view = View(state)
+        encoders = [state.pilots[i].encoder for i in vehicles]
+        rows = MAKERS[name](state, self._view, vehicles)
+        for i, frame in zip(vehicles.tolist(), encode_batch(name, rows, encoders), strict=True):
+            self._pending.setdefault(i, []).append(frame)
+        return len(vehicles)
+
+    def flush(self) -> None:
+        """Puts what each vehicle has to send onto its link, as few datagrams as fit."""
+        if not self._pending:
+            return
+        state = self._state
+        pending, self._pending = self._pending, {}
+        for index in sorted(pending):
+            signing = state.signing[index]
+            if signing.on:
+                if state.has_gps[index]:
+                    signing.date(state.unix_us())
+                pending[index] = [signing.sign(frame) for frame in pending[index]]
+            for data in _datagrams(pending[index]):
+                channel = self._downlinks[index]
+                if channel.config is PERFECT:
+                    self._sent.append(Outgoing(state.now_ns, index, data))
+                    continue
+                for t_ns, arrived in channel.carry(state.now_ns, data):
+                    self._order += 1
+                    heapq.heappush(self._under_way, _Late(t_ns, self._order, index, arrived))
+
+    def deliver(self) -> None:
+        """Lets what is due arrive at the ground."""
+        while self._under_way and self._under_way[0].t_ns <= self._state.now_ns:
+            late = heapq.heappop(self._under_way)
+            self._sent.append(Outgoing(late.t_ns, late.vehicle, late.data))
+
+
+def _datagrams(messages: list[bytes]) -> list[bytes]:
+    total = sum(map(len, messages))
+    if total <= _DATAGRAM_BYTES:
+        return [b"".join(messages)]
+    out, size, start = [], 0, 0
+    for k, message in enumerate(messages):
+        if size and size + len(message) > _DATAGRAM_BYTES:
+            out.append(b"".join(messages[start:k]))
+            size, start = 0, k
+        size += len(message)
+    out.append(b"".join(messages[start:]))
+    return out
