@@ -244,7 +244,7 @@ class Parameters:
                         self._tell(message.param_id)
 
 
-WRONG = [(0, "NAV_DLL_ACT", 0), (1, "FS_GCS_ENABLE", 0)]
+WRONG = [(0, "NAV_DLL_ACT", 6), (1, "FS_GCS_ENABLE", 3)]  # motors off; lands where it is not asked to
 
 
 @pytest.mark.parametrize(("vehicle", "name", "value"), WRONG)
@@ -255,7 +255,7 @@ def test_a_wrong_parameter_is_refused_by_name_and_left_alone(
     assert of.check.waiting(vehicle) is not None
     of.run(8.0)
     assert of.check.waiting(vehicle) is None
-    assert [finding.name for finding in of.check.grave_findings(vehicle)] == [name]
+    assert [(finding.name, finding.value) for finding in of.check.findings(vehicle)] == [(name, value)]
     assert of.set == []
 
 
