@@ -12,10 +12,9 @@ import pymap3d
 
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.station import Station
-from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS, AskAgain
+from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
 _AGAIN_NS = 2 * SECOND_NS
 _TRIES = 5
@@ -42,7 +41,8 @@ class Origins:
         self._asking = AskAgain(n, _AGAIN_NS)
         self._asks = np.zeros(n, dtype=np.int64)
         self._given = np.zeros(n, dtype=np.int64)
-        self._far_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._far_held = HeldEach(n)
+        self._far: BoolArray = np.zeros(n, dtype=np.bool_)
         self._off_m: FloatArray = np.full(n, np.nan)
         self._derived: BoolArray = np.zeros(n, dtype=np.bool_)
 
@@ -51,13 +51,11 @@ class Origins:
         if not self._gps.any():
             return
         self._off_m = self._frame.off_pad_on_earth_m(self._station.fleet, now_ns, _OLD_NS)
-        far = self._off_m > _FAR_M  # NaN is not
-        self._far_since_ns = np.where(far, np.where(self._far_since_ns == NEVER, now_ns, self._far_since_ns), NEVER)
+        self._far = self._far_held(self._off_m > _FAR_M, now_ns, _FAR_NS)  # NaN is not far
 
-    def far_away(self, vehicle: int, now_ns: int) -> str | None:
+    def far_away(self, vehicle: int) -> str | None:
         """Words for a vehicle that is in quite another place than the mission says; None for the others."""
-        since_ns = int(self._far_since_ns[vehicle])
-        if since_ns == NEVER or now_ns - since_ns < _FAR_NS:
+        if not self._far[vehicle]:
             return None
         km = self._off_m[vehicle] / 1e3
         first, anchor = self._frame.hangs_on, self._plan.spec.anchor

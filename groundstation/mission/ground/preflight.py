@@ -164,7 +164,7 @@ class Preflight:
             )
             held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
             state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
-            far = self._origins.far_away(vehicle, now_ns)
+            far = self._origins.far_away(vehicle)
             if far is not None:
                 state.fatal.append(f"{name}: {far}")
             self._checked[vehicle] = problem is None

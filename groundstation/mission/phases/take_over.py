@@ -29,7 +29,7 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
-from groundstation.mission.timing import SECOND_NS, AskAgain
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held
 
 LISTEN_NS = 5 * SECOND_NS
 """Time to hear everybody's heartbeat, whatever the links lose."""
@@ -97,7 +97,7 @@ class TakeOver:
         self._plan, self._station, self._frame, self._preflight = plan, station, frame, preflight
         self._start_ns = start_ns
         self._taken_ns = np.full(n, NEVER, dtype=np.int64)
-        self._held_since_ns = np.full(n, NEVER, dtype=np.int64)
+        self._held = [Held() for _ in range(n)]
         self._mode_asking = AskAgain(n, _ASK_AGAIN_NS)
         self._streams_asking = AskAgain(n, _STREAMS_AGAIN_NS)
         self._frame_asking = AskAgain(n, _ASK_AGAIN_NS)
@@ -215,15 +215,13 @@ class TakeOver:
                 return "no attitude yet"
             self._roster.take(vehicle)
             self._taken_ns[vehicle] = now_ns
-            self._held_since_ns[vehicle] = NEVER
+            self._held[vehicle].forget()
             self.yaw_ned_rad[vehicle] = frames.yaw_ned_from_quat(fleet.quat_ned_from_frd)[vehicle]
         mode = int(fleet.custom_mode[vehicle])
-        if autopilot.is_streaming_mode(mode):
-            if self._held_since_ns[vehicle] == NEVER:
-                self._held_since_ns[vehicle] = now_ns
-            held = now_ns - self._held_since_ns[vehicle] >= _STEADY_NS
+        streaming = autopilot.is_streaming_mode(mode)
+        held = self._held[vehicle](streaming, now_ns, _STEADY_NS)
+        if streaming:
             return None if held and now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS else "is coming to a stand"
-        self._held_since_ns[vehicle] = NEVER
         if now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS and self._mode_asking.due(vehicle, now_ns):
             self._mode_asking.asked(vehicle, now_ns)
             commands.request(vehicle, autopilot.streaming_mode())
