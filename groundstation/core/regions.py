@@ -85,6 +85,10 @@ class SafetyRegion(ABC):
             return f"{apart_m:.2f} m apart, minimum is {self.radius_m:g} m"
         return f"{apart_m:.2f} m apart, {clearance:.0%} of what their safety region asks for"
 
+    def size_words(self) -> str:
+        """Its sizes, by the keys that a mission gives them."""
+        return f"avoidance.radius_m {self.radius_m:g} m"
+
     @abstractmethod
     def reach_m(self, beyond_m: float) -> float:
         """Euclidean distance from which on everybody is farther than ``beyond_m`` outside of the region."""
@@ -139,6 +143,10 @@ class UprightRegion(SafetyRegion):
         super().__post_init__()
         if not 0.0 < self.half_height_m < math.inf:
             raise ValueError(f"safety {self.name}: half height is {self.half_height_m} m, must be positive")
+
+    def size_words(self) -> str:
+        """Its height, too."""
+        return f"{super().size_words()} and half_height_m {self.half_height_m:g} m"
 
     @property
     def _growth(self) -> float:

@@ -20,7 +20,7 @@ from groundstation.core.control import ScaleFunction, auto_control_gain, rate_fo
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan, least_seconds
-from groundstation.core.regions import SafetyRegion, UprightRegion
+from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
 from groundstation.mission.plan.profiles import VehicleProfile
@@ -242,16 +242,15 @@ def check_clearance(
     Raises:
         UserError: with the two points.
     """
-    if not isinstance(region, UprightRegion):
+    if region.by_distance:
         return
     for i, j in itertools.combinations(range(len(points_m)), 2):
         offset = points_m[j] - points_m[i]
         if region.clearance(offset) <= 1.0:
             raise UserError(
                 f"{source}: {names[0].format(j)}: {math.hypot(*offset[:2]):.3g} m beside and {abs(offset[2]):.3g} m"
-                f" above or below {names[1].format(i)}, inside of the {region.name} of avoidance.radius_m"
-                f" {region.radius_m:g} m and half_height_m {region.half_height_m:g} m; {remedy} or make the region"
-                " smaller"
+                f" above or below {names[1].format(i)}, inside of the {region.name} of"
+                f" {region.size_words()}; {remedy} or make the region smaller"
             )
 
 
