@@ -19,7 +19,7 @@ from groundstation.mission.ground.failsafe import FailsafePlan, make_failsafe
 from groundstation.mission.ground.parameters import ParameterCheck
 from groundstation.mission.ground.standing import pad_words, too_near
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SECOND_NS, AskAgain
 
 _ASK_NS = 2 * SECOND_NS
 _PATIENCE_NS = 8 * SECOND_NS  # for what is only nice to know; asked for longer than that it is not
@@ -66,7 +66,7 @@ class Checks:
         self._parameters = ParameterCheck(plan, station, self.failsafe, look_only=look_only)
         self._ids = [vehicle.id for vehicle in plan.spec.vehicles]
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
-        self._asked_ns = {name: np.full(plan.size, NEVER, dtype=np.int64) for name in ("version", "estimator")}
+        self._asking = {name: AskAgain(plan.size, _ASK_NS) for name in ("version", "estimator")}
         self._first_ns = np.full(plan.size, NEVER, dtype=np.int64)
 
     def team_problem(self) -> str | None:
@@ -95,10 +95,10 @@ class Checks:
         self._parameters.stop(vehicle)
 
     def _ask_once(self, what: str, message: str, vehicle: int, now_ns: int) -> None:
-        asked_ns = self._asked_ns[what]
-        if now_ns - asked_ns[vehicle] < _ASK_NS or self._station.commands.pending(vehicle):
+        asking = self._asking[what]
+        if not asking.due(vehicle, now_ns) or self._station.commands.pending(vehicle):
             return
-        asked_ns[vehicle] = now_ns
+        asking.asked(vehicle, now_ns)
         self._station.commands.request(vehicle, self._plan.autopilots[vehicle].once(message))
 
     def _given_up(self, vehicle: int, now_ns: int) -> bool:
