@@ -157,8 +157,13 @@ class Clocks:
         return measured_ns
 
     def doubtful(self) -> BoolArray:
-        """Vehicles whose messages seem to have been long under way: their clocks may have stood still, shape (n,)."""
-        return np.asarray(self._lag_ns / 1e9 > self.round_trip_s + _LAG_S)  # not with NaN
+        """Vehicles that should be asked again at once, shape (n,).
+
+        Their messages seem to have been long under way, so that their clocks may have stood still; or their last answer
+        fits no other, and the next one tells whether they have started anew.
+        """
+        odd = np.array([sample is not None for sample in self._odd])
+        return np.asarray((self._lag_ns / 1e9 > self.round_trip_s + _LAG_S) | odd)  # not with NaN
 
 
 def _apart(sample: _Sample, other: _Sample) -> bool:

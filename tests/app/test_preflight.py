@@ -305,7 +305,7 @@ def test_a_parameter_that_the_firmware_does_not_have_is_told_and_not_waited_for(
 
 
 def test_what_is_unusual_is_told_and_flown() -> None:
-    flight = Flight(pair(), prepare=_with(("COM_OF_LOSS_T", 3.0), ("COM_DL_LOSS_T", 12)))
+    flight = Flight(pair(), prepare=_with(("COM_OF_LOSS_T", 3.0), ("COM_DL_LOSS_T", 16)))
     _assert_flown(flight)
     assert any("vehicle 1: unusual: COM_OF_LOSS_T is 3: " in text for text in flight.texts("info"))
     assert flight.runner.check_rows()[0].failsafe == "2 unusual"

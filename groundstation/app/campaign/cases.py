@@ -186,7 +186,10 @@ class _Team:
         low = np.array([*(self._centre - side / 2), 0.0])
         high = np.array([*(self._centre + side / 2), side if starts.kind == "volume" else 0.0])
         radius = spec.avoidance.radius_m
-        apart = max(starts.apart * radius, radius + plan.keep_out_margin_m + _SPARE_M)
+        # A wind that the mission leaves open is lowered to what fits, and would differ from one profile to the next.
+        stated = spec.wind.mean_m_s is not None or spec.wind.gust_m_s is not None
+        margin_m = plan.keep_out_margin_m if stated else plan.margin_m
+        apart = max(starts.apart * radius, radius + margin_m + _SPARE_M)
         pads = scattered(plan.size, low, high, apart, rng)
         top = side + spec.takeoff.height_m + spec.takeoff.stagger_m / 2 + _ROOM_M
         fence = {

@@ -3,7 +3,7 @@
 Such a vehicle gets no setpoints until its climb is over: they would end it. From then on it gets them without a break,
 like all others. Until then nothing keeps it clear of anybody: it is not asked to climb before whoever has a pad above
 its own is ahead: has left the ground, if it climbs by command as well (those that wait are armed, and disarm by
-themselves after ten seconds), or is at its height. Who climbs by velocity does not come here.
+themselves after ten seconds), or has most of its climb behind it. Who climbs by velocity does not come here.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from groundstation.mission.timing import AskAgain
 
 _ASK_AGAIN_NS = 2_000_000_000
 _THERE = 0.85  # of the height: from here on setpoints do the rest
+_AHEAD = 0.6  # of its height: one that climbs by velocity is ahead by then; the next takes seconds to lift off
 _STAYS_NS = 2_000_000_000  # at that height, whatever the landed state says
 
 
@@ -56,7 +57,8 @@ class Climb:
         """
         high = height_m >= _THERE * target_m
         stands = fleet.stands(now_ns, self._landed_age_s)
-        ahead = high | (self._by_command & (fleet.landed_state != LANDED_ON_GROUND))
+        left = np.where(self._by_command, fleet.landed_state != LANDED_ON_GROUND, height_m >= _AHEAD * target_m)
+        ahead = np.asarray(high | left, dtype=np.bool_)
         for vehicle in np.flatnonzero(self._roster.climbing).tolist():
             if high[vehicle]:
                 if self._high_since_ns[vehicle] == NEVER:
