@@ -26,7 +26,7 @@ def test_a_mission_flies_over_mavsdk(
     changes = [
         "positioning=mocap", "formation_scale=1.3", "takeoff.height_m=0.5", "steps.1.hold.seconds=0.5",
         "steps.0.form.tolerance_m=0.05", "avoidance.radius_m=0.5", "avoidance.activation_m=0.6",
-        "limits.preflight_s=20", "scale.gain=2.5",
+        "limits.preflight_s=20", "scale.gain=2.5", "wind={}",
     ]  # fmt: skip
     for number, x in enumerate((-0.5, 0.5)):
         vehicle = f"vehicles.{number}"

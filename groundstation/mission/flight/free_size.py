@@ -50,7 +50,7 @@ def missed(stands: Sizes, before: Sizes, scale: float, stage: Stage, keep_out_m:
     if apart_m <= keep_out_m:
         why = (
             f"that brings two of them to about {apart_m:.2f} m, and {keep_out_m:.2f} m are kept (avoidance.radius_m and"
-            " what two positions may be off)"
+            " what positions and gusts may take)"
         )
     return (
         f"move not finished: {stage.formation.name} stands at {_words(stands)} times its size, {_words(asked)} was"
