@@ -60,6 +60,8 @@ def test_a_flight_that_ends_as_it_is_told_agrees() -> None:
     [
         ("", {"crash_untold"}),
         ("vehicle 2: is tilted by 69 degrees, limit 60 degrees", {"crash_untold"}),
+        ("aborted: landed by the operator", {"crash_untold"}),
+        ("aborted: everybody: killed by the operator", set()),
         ("vehicle 1: is tilted by 69 degrees, limit 60 degrees", set()),
         ("vehicles 3, 1 too, see the alarms", set()),
     ],

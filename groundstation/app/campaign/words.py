@@ -52,7 +52,8 @@ _SICK = re.compile(
     r"|no position)"
 )
 _LINK = re.compile(r"link (\S+): nothing heard of anybody")
-_WHOLE_TEAM = ("landed by the operator", "everybody: killed", "setpoints end")
+_KILLED_ALL = "everybody: killed"  # names them all: whoever reads it knows that they fall
+_WHOLE_TEAM = ("landed by the operator", _KILLED_ALL, "setpoints end")
 _IN_THE_AIR = "still in the air"
 
 
@@ -98,6 +99,8 @@ class Witness:
         ids = {int(number) for found in _NAMES.findall(text) for number in re.findall(r"\d+", found)}
         ids |= {int(number) for number in _TWINS.findall(text)}
         rows = {self._row_of_id[number] for number in ids if number in self._row_of_id}
+        if _KILLED_ALL in text:
+            rows |= set(range(self._plan.size))
         for url in _LINK.findall(text):
             rows |= {row for row, vehicle in enumerate(self._plan.spec.vehicles) if vehicle.link == url}
         self._words.append(_Word(t_ns, text, frozenset(rows), any(words in text for words in _WHOLE_TEAM)))
