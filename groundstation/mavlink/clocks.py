@@ -70,7 +70,7 @@ class Clocks:
         self._asked: list[deque[int]] = [deque(maxlen=_OUTSTANDING) for _ in range(n)]
         self._told_ns: IntArray = np.zeros(n, dtype=np.int64)
         self._lag_ns: IntArray = np.zeros(n, dtype=np.int64)
-        self._odd: list[_Sample | None] = [None] * n
+        self._odd: dict[int, _Sample] = {}  # by vehicle: an answer that fits no other
 
     def asked(self, vehicle: int, ts1_ns: int) -> None:
         """Remembers a question that was sent; answers to anybody else's do not count."""
@@ -92,7 +92,8 @@ class Clocks:
             if _apart(sample, newest):
                 back = jump_ns < -_STALL_NS or tc1_ns < self._told_ns[vehicle] - _BACK_MS * 1_000_000
                 if back or jump_ns > 0:
-                    odd, self._odd[vehicle] = self._odd[vehicle], sample
+                    odd = self._odd.get(vehicle)
+                    self._odd[vehicle] = sample
                     if odd is None or _apart(sample, odd):
                         self._answered_once(vehicle, ts1_ns)
                         return False
@@ -100,7 +101,7 @@ class Clocks:
                 if back:
                     self.forget(vehicle)
                     return True
-        self._odd[vehicle] = None
+        self._odd.pop(vehicle, None)
         self._told_ns[vehicle] = tc1_ns
         self._answered_once(vehicle, ts1_ns)
         late.append(sample)
@@ -125,7 +126,7 @@ class Clocks:
         self._told_ns[vehicle] = 0
         self._lag_ns[vehicle] = 0
         self.rate[vehicle] = 0.0
-        self._odd[vehicle] = None
+        self._odd.pop(vehicle, None)
         self.known[vehicle] = False
         self.round_trip_s[vehicle] = np.nan
         self.samples[vehicle] = 0
@@ -162,8 +163,9 @@ class Clocks:
         Their messages seem to have been long under way, so that their clocks may have stood still; or their last answer
         fits no other, and the next one tells whether they have started anew.
         """
-        odd = np.array([sample is not None for sample in self._odd])
-        return np.asarray((self._lag_ns / 1e9 > self.round_trip_s + _LAG_S) | odd)  # not with NaN
+        doubtful: BoolArray = np.asarray(self._lag_ns / 1e9 > self.round_trip_s + _LAG_S)  # not with NaN
+        doubtful[list(self._odd)] = True
+        return doubtful
 
 
 def _apart(sample: _Sample, other: _Sample) -> bool:
