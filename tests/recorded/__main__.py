@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from tests.recorded.judging import held_back, judge
-from tests.recorded.recording import OURS, folders, listen, load
+from tests.recorded.recording import chosen, listen, load
 
 
 def _say(text: str) -> None:
@@ -16,10 +16,7 @@ def _say(text: str) -> None:
 
 def main(names: list[str]) -> None:
     """Goes through the recordings whose names contain one of ``names``, or all."""
-    ours = sorted(path for path in OURS.iterdir() if path.is_dir()) if OURS.is_dir() else []
-    for folder in [*ours, *folders()]:
-        if names and not any(name in folder.name for name in names):
-            continue
+    for folder in chosen(names):
         with tempfile.TemporaryDirectory() as scratch:
             recording = load(folder, Path(scratch))
         belief = listen(recording)

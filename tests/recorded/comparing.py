@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 from groundstation.records.notes import Received, Sent
 from groundstation.records.tlog import read_tlog
 from tests.app.flights import Flight
-from tests.recorded.recording import OURS, Recording, folders, load
+from tests.recorded.recording import Recording, chosen, load
 
 _RATE_SAME = 0.1  # rates that differ by less are the same
 _SECONDS_SAME = 0.35
@@ -236,10 +236,7 @@ def compare(recording: Recording, scratch: Path) -> dict[str, list[Difference]]:
 
 def main(names: list[str]) -> None:
     """Goes through the recordings whose names contain one of ``names``, or all."""
-    ours = sorted(path for path in OURS.iterdir() if path.is_dir()) if OURS.is_dir() else []
-    for folder in [*ours, *folders()]:
-        if names and not any(name in folder.name for name in names):
-            continue
+    for folder in chosen(names):
         with tempfile.TemporaryDirectory() as scratch:
             recording = load(folder, Path(scratch))
             for autopilot, lines in compare(recording, Path(scratch)).items():

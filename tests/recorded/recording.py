@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import lzma
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -297,6 +297,12 @@ def _on_the_ground(preflight: Preflight, station: Station, belief: Belief, ids: 
             belief.ready_ns[row] = -1
         elif belief.ready_ns[row] < 0:
             belief.ready_ns[row] = now_ns
+
+
+def chosen(names: Sequence[str]) -> list[Path]:
+    """Recordings whose names contain one of ``names``, or all: ours, then the larger ones beside them."""
+    ours = sorted(path for path in OURS.iterdir() if path.is_dir()) if OURS.is_dir() else []
+    return [path for path in (*ours, *folders()) if not names or any(name in path.name for name in names)]
 
 
 def folders() -> Iterator[Path]:
