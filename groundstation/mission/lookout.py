@@ -8,11 +8,11 @@ import numpy as np
 
 from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.types import FloatArray
-from groundstation.mission.blame import Blame
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.table import Event
+from groundstation.mission.reasons.blame import Blame
 from groundstation.mission.team import Team
 
 _STANDS_M = 1e-3  # by which somebody who stands counts as larger than r: an obstacle

@@ -11,7 +11,7 @@ class Purpose(Enum):
     FLY = "fly"
     """Preflight, then the mission."""
     TAKE_OVER = "take over"
-    """They are in the air already: hold them, bring them home, see ``phases.take_over``."""
+    """They are in the air already: hold them, bring them home, see ``ground.take_over``."""
     LOOK = "look"
     """Preflight alone; nothing is set, whatever the mission says, and it is told what a flight would set."""
     PREPARE = "prepare"

@@ -20,13 +20,12 @@ from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.codec import Piece
 from groundstation.mavlink.station import Outgoing
 from groundstation.mavlink.vehicle import NEVER
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import Poses, out_of_sight
 from groundstation.mission.lookout import Lookout
 from groundstation.mission.orders import Orders
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES, Phase
 from groundstation.mission.phases.table import Event
-from groundstation.mission.phases.take_over import out_of_sight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.team import Team

@@ -24,9 +24,9 @@ from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.monitors.board import Board
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
+from groundstation.mission.reasons.words import Words
 from groundstation.mission.roster import enlist
 from groundstation.mission.verdict import Figures, Verdict
-from groundstation.mission.words import Words
 
 PAD_TOLERANCE_M = 0.15
 """So near to its place is there, horizontally and in height."""

@@ -236,7 +236,7 @@ def test_a_fault_of_our_own_while_taking_over_leaves_everybody_to_its_failsafe(m
 
     plan = pair(autopilots=("px4", "px4"))
     world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_land_modes)
-    monkeypatch.setattr("groundstation.mission.phases.take_over.TakeOver.step", faulty)
+    monkeypatch.setattr("groundstation.mission.ground.take_over.TakeOver.step", faulty)
     flight = Flight(plan, world=world, take_over=True, limit_s=400.0)
     assert flight.phase_seen == [Phase.SILENT, Phase.DONE]
     assert "FloatingPointError: made up; everybody is left to its own failsafe" in flight.runner.reason

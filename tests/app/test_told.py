@@ -8,7 +8,7 @@ import pytest
 
 from groundstation.app.verify import verify_log
 from groundstation.mavlink.codec import Encoder, message_id
-from groundstation.mission.blame import Blame
+from groundstation.mission.reasons.blame import Blame
 from groundstation.mission.runner import Phase
 from sitl.faults import Fault
 from sitl.world import Outgoing

@@ -6,8 +6,8 @@ import numpy as np
 
 from groundstation.app.resources import packaged_configs
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, Fleet
-from groundstation.mission.blame import still_flying
 from groundstation.mission.plan.reading import load_mission
+from groundstation.mission.reasons.blame import still_flying
 
 LOITER = 4 << 16 | 3 << 24
 

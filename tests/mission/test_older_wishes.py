@@ -16,7 +16,7 @@ from groundstation.mission.flight.columns import Distances
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.phases.arming import Arming
+from groundstation.mission.ground.arming import Arming
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import enlist

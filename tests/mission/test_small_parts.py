@@ -10,7 +10,7 @@ from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.killing import Killing
-from groundstation.mission.phases.arming import Arming
+from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty, Roster, enlist
 from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, vehicle_list

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.app.resources import packaged_configs
 from groundstation.mavlink.vehicle import LANDED_IN_AIR
-from groundstation.mission.phases.take_over import TakeOverState
+from groundstation.mission.ground.take_over import TakeOverState
 from groundstation.mission.phases.taking_over import TakeOverPhase
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.purpose import Purpose

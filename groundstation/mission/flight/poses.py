@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 
+_OUT_OF_SIGHT_M = 1e5
 _NOBODY: FloatArray = np.zeros(0)
 """Stands for zeros of whatever size is right."""
 
@@ -45,3 +46,18 @@ class Poses:
             object.__setattr__(self, "extra_radius_m", np.zeros(n))
         elif self.extra_radius_m.shape != (n,):
             raise ValueError(f"poses: extra radii have shape {self.extra_radius_m.shape}, expected ({n},)")
+
+
+def out_of_sight(poses: Poses) -> Poses:
+    """Puts whoever was never seen far away from everybody, so that unknown does not spread."""
+    parts = (poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd)
+    known = np.asarray(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
+    if known.all():
+        return poses
+    far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([1.0, 0.0, 1.0])  # under nobody
+    return replace(
+        poses,
+        pos_team_ned_m=np.where(known[:, None], poses.pos_team_ned_m, far),
+        vel_ned_m_s=np.where(known[:, None], poses.vel_ned_m_s, 0.0),
+        quat_ned_from_frd=np.where(known[:, None], poses.quat_ned_from_frd, np.array([1.0, 0.0, 0.0, 0.0])),
+    )

@@ -1,1 +1,1 @@
-"""Everything before takeoff: preflight, parameters, what the team does when the ground station is gone."""
+"""Everything before the team flies by our setpoints: preflight, parameters, arming, taking over who is in the air."""

@@ -16,7 +16,6 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
-from groundstation.mission.blame import HELP_IN_THE_AIR
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.check_table import CheckRow, check_rows
 from groundstation.mission.ground.checks import Checks
@@ -24,6 +23,7 @@ from groundstation.mission.ground.origins import Origins
 from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
+from groundstation.mission.reasons.blame import HELP_IN_THE_AIR
 from groundstation.mission.timing import SECOND_NS, AskAgain
 
 _ASK_AGAIN_NS = 5 * SECOND_NS

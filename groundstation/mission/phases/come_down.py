@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from groundstation.core.types import BoolArray
-from groundstation.mission.blame import HELP_IN_THE_AIR, still_flying
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.phases.arming import Arming
+from groundstation.mission.ground.arming import Arming
 from groundstation.mission.phases.on_the_ground import ArmPhase
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
+from groundstation.mission.reasons.blame import HELP_IN_THE_AIR, still_flying
 from groundstation.mission.team import Team
 from groundstation.mission.timing import SECOND_NS, Held, vehicle_list
 

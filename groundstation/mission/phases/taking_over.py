@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.ground.take_over import TakeOver
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
-from groundstation.mission.phases.take_over import TakeOver
 from groundstation.mission.team import Team
 
 

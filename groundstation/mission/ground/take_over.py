@@ -14,7 +14,7 @@ be known, and its own failsafe goes on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, NEVER
-from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.plan.plan import MissionPlan
@@ -43,7 +42,6 @@ _OLD_NEWS_NS = 3 * SECOND_NS
 _PATIENCE_NS = 20 * SECOND_NS
 _HOME_PATIENCE_NS = 6 * SECOND_NS
 _FENCE_TOLERANCE_M = 1.0
-_OUT_OF_SIGHT_M = 1e5
 
 
 @dataclass
@@ -250,18 +248,3 @@ class TakeOver:
                 " what the mission says"
             )
         return None
-
-
-def out_of_sight(poses: Poses) -> Poses:
-    """Puts whoever was never seen far away from everybody, so that unknown does not spread."""
-    parts = (poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd)
-    known = np.asarray(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
-    if known.all():
-        return poses
-    far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([1.0, 0.0, 1.0])  # under nobody
-    return replace(
-        poses,
-        pos_team_ned_m=np.where(known[:, None], poses.pos_team_ned_m, far),
-        vel_ned_m_s=np.where(known[:, None], poses.vel_ned_m_s, 0.0),
-        quat_ned_from_frd=np.where(known[:, None], poses.quat_ned_from_frd, np.array([1.0, 0.0, 0.0, 0.0])),
-    )

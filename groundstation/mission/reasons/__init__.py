@@ -1,0 +1,1 @@
+"""Why things end as they do, in words for people; judges nothing and decides nothing."""
