@@ -1,8 +1,8 @@
 """Algorithm 2, exact: the smallest rotation of the desired velocity that leaves every safety region.
 
-Seen from an agent, a safety region blocks a set of directions. The desired direction is turned to the nearest one
-outside of all of them, which is one of finitely many candidates: `caps` knows them for spheres, `cones` for upright
-ellipsoids and cylinders. Every candidate is held against every region near the agent.
+Seen from an agent, a safety region blocks a set of directions, which it tells itself (`caps` for spheres, `cones` for
+upright ellipsoids and cylinders). The desired direction is turned to the nearest one outside of all of them, which is
+one of finitely many candidates. Every candidate is held against every region near the agent.
 
 The rule is the paper's: it knows directions, not dynamics. On vehicles that lag it does not keep distances above
 r; `damper` does.
@@ -15,15 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.caps import Blocked, Caps, caps_of, dot
-from groundstation.core.cones import cylinder_cones, ellipsoid_cones
-from groundstation.core.regions import (
-    SafetyCylinder,
-    SafetyEllipsoid,
-    SafetyRegion,
-    SafetySphere,
-    rot_level_from_flu,
-)
+from groundstation.core.caps import Blocked, dot
+from groundstation.core.regions import SafetyRegion, rot_level_from_flu
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews
 
@@ -33,20 +26,6 @@ _FIRST = 32
 """So many candidates are held against the regions first, the nearest ones where there are more."""
 _TOGETHER = 16
 """So few agents are turned together, whatever their candidates."""
-
-
-def sphere_caps(views: LocalViews, sphere: SafetySphere) -> Caps:
-    """Returns caps of half angle asin(r / distance); 90 degrees from r inwards, so that one can only part.
-
-    A coincident agent (distance below 1e-9 m) has no direction and blocks none: any motion parts. Radius and activation
-    grow by ``views.extra_m``.
-    """
-    rel_pos_flu_m = views.rel_pos_flu_m
-    x, y, z = rel_pos_flu_m[..., 0], rel_pos_flu_m[..., 1], rel_pos_flu_m[..., 2]
-    distance = np.sqrt(x * x + y * y + z * z)
-    # Comparisons with NaN (not visible) are False.
-    active = views.visible & (distance < sphere.activation_m + views.extra_m) & (distance > 1e-9)
-    return caps_of(rel_pos_flu_m, distance, sphere.radius_m + views.extra_m, active)
 
 
 @dataclass(frozen=True)
@@ -87,17 +66,11 @@ def avoid(views: LocalViews, desired_flu_m_s: FloatArray, region: SafetyRegion) 
     """
     if desired_flu_m_s.shape != (views.viewers, 3) or not np.all(np.isfinite(desired_flu_m_s)):
         raise ValueError(f"desired velocities must be finite and of shape ({views.viewers}, 3)")
-    if isinstance(region, SafetySphere):
-        return _around(sphere_caps(views, region), desired_flu_m_s)
+    if region.by_distance:
+        return _around(region.blocked(views.rel_pos_flu_m, views.visible, views.extra_m), desired_flu_m_s)
     level = rot_level_from_flu(views.up_flu)
     rel_level_m = frames.rotate(level[:, None], views.rel_pos_flu_m)
-    cones: Blocked
-    if isinstance(region, SafetyEllipsoid):
-        cones = ellipsoid_cones(rel_level_m, views.visible, views.extra_m, region)
-    elif isinstance(region, SafetyCylinder):
-        cones = cylinder_cones(rel_level_m, views.visible, views.extra_m, region)
-    else:
-        raise ValueError(f"safety region {type(region).__name__}: nothing is known of the directions that it blocks")
+    cones = region.blocked(rel_level_m, views.visible, views.extra_m)
     result = _around(cones, frames.rotate(level, desired_flu_m_s))
     vel_flu_m_s = np.where(
         result.angle_rad[:, None] > 0.0, frames.rotate_back(level, result.vel_flu_m_s), desired_flu_m_s

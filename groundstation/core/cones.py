@@ -23,7 +23,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.core.caps import Caps, caps_of, dot, pairs, to_the_right
-from groundstation.core.regions import SafetyCylinder, SafetyEllipsoid
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _LARGER = 1e-8
@@ -218,36 +217,46 @@ class CylinderCones:
 
 
 def ellipsoid_cones(
-    offset_m: FloatArray, visible: BoolArray, extra_m: FloatArray, region: SafetyEllipsoid
+    offset_m: FloatArray, visible: BoolArray, radius_m: FloatArray, within: FloatArray, *, squeeze: float
 ) -> EllipsoidCones:
-    """What ellipsoids at offsets (m, n, 3), level axes, block for m agents."""
-    radius, _ = region.sizes(extra_m)
-    squeeze = region.radius_m / region.half_height_m
+    """What ellipsoids block for m agents.
+
+    Args:
+        offset_m: to their centres, level axes, shape (m, n, 3).
+        visible: shape (m, n).
+        radius_m: shape (m, n).
+        within: how many times as large as an ellipsoid the one is inside of which it counts, shape (m, n).
+        squeeze: radius over half height of all of them.
+    """
     scaled = offset_m * np.array([1.0, 1.0, squeeze])
     length = np.sqrt(dot(scaled, scaled))
-    active = visible & (length < radius * region.activation_clearance(extra_m)) & (length > 1e-9)
-    return EllipsoidCones(caps_of(scaled, length, radius, np.asarray(active, dtype=np.bool_)), squeeze)
+    active = visible & (length < radius_m * within) & (length > 1e-9)
+    return EllipsoidCones(caps_of(scaled, length, radius_m, np.asarray(active, dtype=np.bool_)), squeeze)
 
 
 def cylinder_cones(
-    offset_m: FloatArray, visible: BoolArray, extra_m: FloatArray, region: SafetyCylinder
+    offset_m: FloatArray,
+    active: BoolArray,
+    size_m: tuple[FloatArray, FloatArray],
+    distance: tuple[FloatArray, FloatArray],
 ) -> CylinderCones:
-    """What cylinders at offsets (m, n, 3), level axes, block for m agents."""
-    offset_m = np.where(visible[..., None], offset_m, np.inf)
-    radius, half = region.sizes(extra_m)
-    across = np.asarray(np.hypot(offset_m[..., 0], offset_m[..., 1]))
-    clearance = np.maximum(across / radius, np.abs(offset_m[..., 2]) / half)
-    active = visible & (clearance < region.activation_clearance(extra_m))
-    offset_m = np.where(active[..., None], offset_m, 0.0)
-    distance, inward = region.distance(offset_m, extra_m)
+    """What cylinders block for m agents.
+
+    Args:
+        offset_m: to their centres, level axes, shape (m, n, 3); finite.
+        active: those that count, shape (m, n).
+        size_m: radius and half height, shape (m, n) each.
+        distance: metres that the agents are outside, shape (m, n), and its gradient, shape (m, n, 3).
+    """
+    (radius_m, half_m), (distance_m, inward) = size_m, distance
     length = np.sqrt(dot(inward, inward))
-    active &= length > 0.0  # one at the very centre has no direction
+    active = active & (length > 0.0)  # one at the very centre has no direction
     return CylinderCones(
         offset_m=offset_m,
-        radius_m=radius,
-        half_m=half,
+        radius_m=radius_m,
+        half_m=half_m,
         # On the surface the larger cylinders of the candidates are already entered.
-        inside=np.asarray(distance < 2.0 * _LARGER * np.minimum(radius, half), dtype=np.bool_),
+        inside=np.asarray(distance_m < 2.0 * _LARGER * np.minimum(radius_m, half_m), dtype=np.bool_),
         inward=inward / np.where(length > 0.0, length, 1.0)[..., None],
         active=np.asarray(active, dtype=np.bool_),
     )

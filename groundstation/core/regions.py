@@ -19,7 +19,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from groundstation.core.types import FloatArray
+from groundstation.core.caps import Blocked, Caps, caps_of
+from groundstation.core.cones import CylinderCones, EllipsoidCones, cylinder_cones, ellipsoid_cones
+from groundstation.core.types import BoolArray, FloatArray
 
 _NOWHERE_M = 1e-9
 """Nearer than that there is no direction from one agent to another."""
@@ -74,6 +76,16 @@ class SafetyRegion(ABC):
             no direction.
         """
 
+    @abstractmethod
+    def blocked(self, offset_m: FloatArray, visible: BoolArray, extra_m: FloatArray) -> Blocked:
+        """The directions that lead into it, for those that it is active for.
+
+        Args:
+            offset_m: from m agents to n others, shape (m, n, 3); level axes, any where ``by_distance``.
+            visible: those that are known, shape (m, n).
+            extra_m: by how much the region around each is larger, shape (m, n).
+        """
+
     def near_words(self, apart_m: float, clearance: float) -> str:
         """Says of two that are inside of it how near they are to each other.
 
@@ -118,6 +130,16 @@ class SafetySphere(SafetyRegion):
         length = _length(offset_m)
         unit = offset_m / np.where(length > _NOWHERE_M, length, np.inf)[..., None]
         return length - self.radius_m - extra_m, unit
+
+    def blocked(self, offset_m: FloatArray, visible: BoolArray, extra_m: FloatArray) -> Caps:
+        """Caps of half angle asin(r / distance); 90 degrees from r inwards, so that one can only part.
+
+        A coincident agent (distance below 1e-9 m) has no direction and blocks none: any motion parts.
+        """
+        distance = _length(offset_m)
+        # Comparisons with NaN (not visible) are False.
+        active = visible & (distance < self.activation_m + extra_m) & (distance > _NOWHERE_M)
+        return caps_of(offset_m, distance, self.radius_m + extra_m, np.asarray(active, dtype=np.bool_))
 
     def reach_m(self, beyond_m: float) -> float:
         """The radius and what is beyond."""
@@ -203,6 +225,16 @@ class SafetyCylinder(UprightRegion):
         upwards = share_above * np.sign(z)
         return distance, np.concatenate([share_aside[..., None] * unit, upwards[..., None]], axis=-1)
 
+    def blocked(self, offset_m: FloatArray, visible: BoolArray, extra_m: FloatArray) -> CylinderCones:
+        """What its side and its faces hide."""
+        offset_m = np.where(visible[..., None], offset_m, np.inf)
+        radius, half = self.sizes(extra_m)
+        across = np.asarray(np.hypot(offset_m[..., 0], offset_m[..., 1]))
+        clearance = np.maximum(across / radius, np.abs(offset_m[..., 2]) / half)
+        active = visible & (clearance < self.activation_clearance(extra_m))
+        offset_m = np.where(active[..., None], offset_m, 0.0)
+        return cylinder_cones(offset_m, active, (radius, half), self.distance(offset_m, extra_m))
+
     def reach_m(self, beyond_m: float) -> float:
         """The edge is farthest."""
         return math.hypot(self.radius_m, self.half_height_m) + beyond_m
@@ -252,6 +284,12 @@ class SafetyEllipsoid(UprightRegion):
         length = _length(scaled)
         scaled = scaled / np.where(length > _NOWHERE_M, length, np.inf)[..., None]
         return length - smaller, scaled * np.stack([wide, wide, high], axis=-1)
+
+    def blocked(self, offset_m: FloatArray, visible: BoolArray, extra_m: FloatArray) -> EllipsoidCones:
+        """What it hides; scaled vertically it is a ball."""
+        radius, _ = self.sizes(extra_m)
+        squeeze = self.radius_m / self.half_height_m
+        return ellipsoid_cones(offset_m, visible, radius, self.activation_clearance(extra_m), squeeze=squeeze)
 
     def reach_m(self, beyond_m: float) -> float:
         """Along the longer axis, where the scaled distance grows most slowly."""

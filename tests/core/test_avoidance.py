@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -216,3 +217,19 @@ def test_proposition_1_as_the_step_goes_to_zero(seed: int) -> None:
     chain = Chain(cube(), cube_gains(), 1.0, tick_s=step, speed_m_s=speed, activation_m=0.5)
     flight = fly(chain, KINEMATIC, start, np.random.default_rng(seed), seconds=2.0)
     assert flight.min_distance_m >= 0.45 - (2 * speed * step) ** 2 / (2 * 0.45) * 4
+
+
+@dataclasses.dataclass(frozen=True)
+class _LevelBall(SafetySphere):
+    """A shape that nobody has heard of: blocks what a sphere does, and wants level axes."""
+
+    by_distance: ClassVar[bool] = False
+
+
+@given(teams, st.integers(0, 2**32 - 1))
+def test_a_region_of_a_new_shape_answers_for_itself(team: Team, seed: int) -> None:
+    wanted = np.random.default_rng(seed).normal(0.0, 0.3, (team.size, 3))
+    known = avoid(team.views, wanted, SafetySphere(0.45, 1.5))
+    own = avoid(team.views, wanted, _LevelBall(0.45, 1.5))
+    np.testing.assert_array_equal(own.in_the_way, known.in_the_way)
+    np.testing.assert_allclose(own.angle_rad, known.angle_rad, atol=1e-6)

@@ -139,3 +139,23 @@ def test_the_codec_is_bytes_and_layouts_alone() -> None:
     while more := {other for name in shared for other in _outside(paths[name])} - shared:
         shared |= more
     assert shared == {f"groundstation.mavlink.{name}" for name in ("checksums", "codec", "layouts", "splitting")}
+
+
+def _asks_for_kind(path: Path, kinds: tuple[str, ...]) -> list[int]:
+    """Lines of a file in which ``isinstance`` asks for a class of such a name."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "isinstance"
+        and any(isinstance(name, ast.Name) and name.id.startswith(kinds) for name in ast.walk(node.args[1]))
+    ]
+
+
+def test_nobody_asks_a_safety_region_for_its_kind(tmp_path: Path) -> None:
+    asked = {str(path): _asks_for_kind(path, ("Safety", "Upright")) for path in ROOT.rglob("*.py")}
+    assert {name: lines for name, lines in asked.items() if lines} == {}
+    sly = tmp_path / "sly.py"
+    sly.write_text("if isinstance(region, (int, SafetySphere)):\n    pass\n")
+    assert _asks_for_kind(sly, ("Safety",)) == [1]
