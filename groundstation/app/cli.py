@@ -16,7 +16,6 @@ from rich.text import Text
 from groundstation.app.commands.completion import COMPLETE_VARIABLE, install_completion
 from groundstation.app.output import Output, SteadyConsole, flush_streams, hold_streams
 from groundstation.core.errors import UserError
-from groundstation.records.manifest import versions
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "missions": ("start", "List the missions that come along."),
@@ -85,6 +84,8 @@ def main() -> None:
     hold_streams()
     arguments = sys.argv[1:]
     if arguments == ["--version"]:
+        from groundstation.records.manifest import versions  # noqa: PLC0415 - loads numpy
+
         Console(highlight=False).print(f"gs {versions()['gs']}")
         return
     called = next((argument for argument in arguments or words_to_complete() if not argument.startswith("-")), None)

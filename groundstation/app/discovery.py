@@ -11,7 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pymap3d
 import yaml
+from rich.table import Table
+from rich.text import Text
 
+from groundstation.app.output import Output
 from groundstation.mavlink.addresses import LinkAddress
 from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
 from groundstation.mavlink.clocks import BootTimes
@@ -249,3 +252,21 @@ class Discovery:
             if found.why_not and found.sysid not in doubled
         )
         return "vehicles:\n" + left_out + "".join(f"  - {line}" for line in lines)
+
+
+def show_found(out: Output, discovery: Discovery, problems: list[str], now_ns: int) -> None:
+    """Prints who was found, what is wrong, and the block for a mission file."""
+    table = Table("id", "autopilot", "type", "version", "mode", "armed", "place")
+    for item in discovery.vehicles():
+        name = item.autopilot.name if item.autopilot else f"MAV_AUTOPILOT {item.mav_autopilot}, not flown by gs"
+        place = item.place_deg_m
+        where = f"{place[0]:.6f} {place[1]:.6f} {place[2]:.1f} m" if place else "-"
+        kind = item.type_name if unflown_words(item.mav_type) is None else f"{item.type_name}, not flown by gs"
+        sysid = str(item.sysid) if item.sysid in VEHICLE_IDS else f"{item.sysid}, no vehicle's"
+        armed = "yes" if item.armed else "no"
+        table.add_row(sysid, name, kind, item.version or "-", item.mode_name, armed, where)
+    out.console.print(table)
+    for problem in problems:
+        out.console.print(Text(problem, style="bold red"))
+    if discovery.found:
+        out.console.print(Text(discovery.block(now_ns)))

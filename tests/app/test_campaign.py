@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 
 from groundstation.app.campaign import report
 from groundstation.app.campaign.cases import Case, Cases, scattered
+from groundstation.app.campaign.conduct import _share, lost_words
 from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.campaign.report import _draw_distances, to_markdown
 from groundstation.app.campaign.run import _nothing_yet, emulated, fly_case
@@ -34,7 +35,6 @@ from groundstation.app.campaign.spread import DaskFlyer, Interrupted, Lost, fly_
 from groundstation.app.campaign.summary import figures, interval, missed, summarise, why
 from groundstation.app.campaign.table import SCHEMA, Table
 from groundstation.app.campaign.vary import ExpectSpec, load_vary
-from groundstation.app.commands.campaign import _lost, _share
 from groundstation.app.resources import packaged_configs
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
@@ -93,9 +93,9 @@ def test_a_killed_campaign_that_is_resumed_gives_the_same_bytes_and_every_run_ca
     script = f"""
 import os, signal, sys
 from groundstation.app import cli
+from groundstation.app.campaign import conduct
 from groundstation.app.campaign.table import Table
-from groundstation.app.commands import campaign
-campaign._FLUSH_ROWS = 1
+conduct._FLUSH_ROWS = 1
 real, seen = Table.append, []
 def append(table, rows):
     real(table, rows)
@@ -470,7 +470,8 @@ def test_a_lost_worker_makes_no_row_and_an_interrupt_costs_none(tmp_path: Path) 
     assert sorted(row["run"] for row in rows) == [0, 1, 3, 5, 6]
     assert lost == [Lost(2, "4 workers died with it"), Lost(4, "ImportError: no such thing")]
     assert (
-        _lost(lost, 7) == "2 of 7 runs were not flown (run 2: 4 workers died with it); --resume flies what is missing"
+        lost_words(lost, 7)
+        == "2 of 7 runs were not flown (run 2: 4 workers died with it); --resume flies what is missing"
     )
     assert told == []
 

@@ -199,7 +199,7 @@ def test_json_is_strict() -> None:
 
 def test_flying_does_not_load_what_only_reports_and_designs_need() -> None:
     code = (
-        "import sys, groundstation.app.commands.fly;"
+        "import sys, groundstation.app.commands.fly, groundstation.app.flying;"
         "print([name for name in ('matplotlib', 'cvxpy', 'clarabel', 'mavsdk') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from groundstation import __main__ as door
+from groundstation.app.cli import COMMANDS
 from groundstation.app.resources import find_config
 from groundstation.core.errors import UserError
 from tests.app.commands import gs
@@ -115,14 +117,47 @@ def test_ctrl_c_while_the_program_is_still_loading_is_a_word_not_a_traceback(
     assert capsys.readouterr().err == "gs: stopped by Ctrl-C\n"
 
 
-def test_an_order_does_not_wait_for_what_it_does_not_need() -> None:
-    heavy = "scipy", "cvxpy", "pydantic", "matplotlib", "yaml", "pymavlink"
+_HEAVY = "numpy", "scipy", "cvxpy", "pydantic", "matplotlib", "yaml", "pymavlink", "sitl"
+
+
+def test_no_command_loads_what_it_works_with_before_it_is_called() -> None:
     code = (
-        "import sys, groundstation.app.cli, groundstation.app.commands.command\n"
-        f"print([name for name in {heavy!r} if name in sys.modules])"
+        "import sys; from groundstation.app.cli import COMMANDS, build\n"
+        f"for name in COMMANDS:\n    build(name); print(name, [name for name in {_HEAVY!r} if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
+    assert done.stdout.splitlines() == [f"{name} []" for name in COMMANDS]
+
+
+@pytest.mark.parametrize(
+    ("line", "goes_on"),
+    [("gs ", "fly"), ("gs fly --", "--dry-run"), ("gs design --m", "--method"), ("gs campaign --", "--runs")],
+)
+def test_a_shell_is_told_how_a_line_goes_on(line: str, goes_on: str) -> None:
+    words = line.split()
+    typed = "" if line.endswith(" ") else words[-1]
+    asked = {"_GS_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - bool(typed))}
+    done = subprocess.run(
+        [sys.executable, "-m", "groundstation"], capture_output=True, text=True, check=True, env=os.environ | asked
+    )
+    found = done.stdout.split()
+    assert found
+    assert all(word.startswith(typed) for word in found)
+    assert {"gs ": "fly", "gs fly --": "--dry-run", "gs design --m": "--method", "gs campaign --": "--runs"}[
+        line
+    ] in found
+
+
+def test_what_an_option_lists_is_what_there_is() -> None:
+    from groundstation.app.commands import design, sitl, sitl_env
+    from groundstation.app.real_sitl import HOME
+    from groundstation.design.designer import METHODS
+    from sitl.estimator import NOISES
+    from sitl.profiles import PROFILES
+
+    assert tuple(METHODS) == design._METHODS
+    assert (tuple(PROFILES), tuple(NOISES)) == (sitl._PROFILES, sitl._NOISES)
+    assert ",".join(map(str, HOME)) == sitl_env._HOME
 
 
 def test_the_program_has_a_second_name() -> None:

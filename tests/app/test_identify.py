@@ -10,8 +10,8 @@ import pytest
 from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.vary import load_vary
-from groundstation.app.commands.identify import delay_note
 from groundstation.app.emulator import world_config
+from groundstation.app.identifying import delay_note
 from groundstation.core.damper import DamperParams
 from groundstation.core.errors import UserError
 from tests.app.commands import gs

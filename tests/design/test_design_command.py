@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.app.cli import build
-from groundstation.app.commands.design import interruptible
+from groundstation.app.designing import interruptible
 from groundstation.app.output import Output
 from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import MissionFailed, UserError

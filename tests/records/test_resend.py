@@ -10,7 +10,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from groundstation.app.commands.replay import stream
+from groundstation.app.replaying import stream
 from groundstation.records.resend import TELLING, Passing
 from groundstation.records.tlog import TlogWriter, read_tlog
 from sitl.fleet import fleet

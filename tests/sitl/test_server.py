@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from groundstation.app.commands.sitl import _picture
+from groundstation.app.serving import server_picture
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, message_name
 from sitl.faults import Fault
 from sitl.fleet import fleet
@@ -220,7 +220,7 @@ def test_status_shows_modes_positions_and_what_is_wrong() -> None:
         server.order("{kind: gremlins}")
         server.world.frame_errors[1] = 3
         console = Console(width=120, record=True, file=io.StringIO())
-        console.print(_picture(server))
+        console.print(server_picture(server))
         text = console.export_text()
     assert re.search(r"1 +AUTO.LOITER +ground +100 % +-1.00 +0.00 +0.00", text)
     assert "fault: loss of 2, probability 0.5" in text

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 
@@ -33,7 +34,7 @@ def bench(
     *,
     runs: Annotated[int, typer.Option(help="Flights that are killed (sigkill).", min=1, max=10_000)] = 50,
     seed: Annotated[int, typer.Option(help="Of the first flight (sigkill).", min=0)] = 1,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measures speed as ratios in one run, or what a killed ground station leaves behind."""
     out = Output(as_json=as_json)

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 import shlex
-import time
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table as Listing
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from groundstation.app.campaign.cases import Cases
-from groundstation.app.campaign.report import FILES, write_summary
-from groundstation.app.campaign.run import Row, fly_case
-from groundstation.app.campaign.spread import Interrupted, Lost, dask_flyer, spread
-from groundstation.app.campaign.summary import below_r, missed, summarise
-from groundstation.app.campaign.table import Table
-from groundstation.app.campaign.vary import Vary, load_vary
-from groundstation.app.commands.fly import JsonOption, SetOption
+from groundstation.app.options import JsonOption, SetOption
 from groundstation.app.output import Output
-from groundstation.app.resources import find_config
-from groundstation.core.errors import CheckFailed, MissionFailed, UserError
-from groundstation.core.own_files import alone_in, claim
-from groundstation.records.manifest import claim_log, versions
+from groundstation.core.errors import MissionFailed, UserError
 
-_FLUSH_ROWS, _FLUSH_S = 50, 2.0
-_CELLS_SHOWN = 40
+if TYPE_CHECKING:
+    from groundstation.app.campaign.spread import Lost
 
 
 def campaign(
@@ -62,12 +44,23 @@ def campaign(
 
     Rows go to DIR/runs.parquet as they finish; killed or stopped, it goes on with --resume.
     """
+    from groundstation.app.campaign import conduct
+    from groundstation.app.campaign.cases import Cases
+    from groundstation.app.campaign.report import FILES, write_summary
+    from groundstation.app.campaign.spread import Interrupted
+    from groundstation.app.campaign.summary import missed, summarise
+    from groundstation.app.campaign.table import Table
+    from groundstation.app.campaign.vary import load_vary
+    from groundstation.app.resources import find_config
+    from groundstation.core.own_files import alone_in, claim
+    from groundstation.records.manifest import versions
+
     out = Output(as_json=as_json)
     varied = load_vary(None if vary is None else find_config(vary, "campaigns"))
-    path = _mission(mission, varied)
+    path = conduct.mission_of(mission, varied)
     cases = Cases(path, varied, seed, tuple(changes or ()))
     if only is not None:
-        _fly_one(out, cases, only, log)
+        conduct.fly_one(out, cases, only, log)
         return
     if out_dir is None or log is not None:
         raise UserError("-o DIR is needed for the table" if out_dir is None else "--log goes with --only")
@@ -88,7 +81,7 @@ def campaign(
             resume=resume,
         )
         todo = [run for run in range(count) if run not in there]
-        _announce(out, varied, count, len(todo))
+        conduct.announce(out, varied, count, len(todo))
         interrupted = Interrupted()
 
         def command(run: int) -> str:
@@ -101,7 +94,7 @@ def campaign(
         lost: list[Lost] = []
         with ExitStack() as deaf:  # from the first run on until the summary is written Ctrl-C is only taken note of
             if todo:
-                lost = _fly_all(
+                lost = conduct.fly_all(
                     out,
                     cases,
                     todo,
@@ -125,168 +118,13 @@ def campaign(
             }
             title = f"{path.stem}: {len(rows)} runs"
             write_summary(out_dir, title if len(rows) == count else f"{title} of {count}", rows, values)
-        _tell(out, values, out_dir)
+        conduct.tell_campaign(out, values, out_dir)
         wanting = missed(values, varied.spec.expect)
         values["missed"] = wanting
         out.result(values)
         if stopped:
             wanting = [f"stopped after {len(rows)} of {count} runs; go on with --resume"]
         elif lost:
-            wanting = [_lost(lost, count), *wanting]
+            wanting = [conduct.lost_words(lost, count), *wanting]
         if wanting:
             raise MissionFailed("; ".join(wanting))
-
-
-def _mission(mission: Path | None, varied: Vary) -> Path:
-    if mission is not None and varied.spec.adversary is not None:
-        raise UserError(f"--mission: the adversary of {varied.source} draws its own missions; leave it out")
-    if mission is not None:
-        return find_config(mission, "missions")
-    if varied.spec.adversary is not None:
-        return Path(varied.source)
-    if varied.spec.mission is None:
-        raise UserError("--mission FILE is missing, and the vary file names none")
-    beside = Path(varied.source).parent / varied.spec.mission
-    return beside if beside.is_file() else find_config(Path(varied.spec.mission), "missions")
-
-
-def _announce(out: Output, varied: Vary, count: int, todo: int) -> None:
-    cells = len(varied.cells)
-    each = f" over {cells} cells, {_share(count, cells)}" if cells > 1 else ""
-    out.console.print(
-        f"{count} runs{each}; {count - todo} are there already" if todo < count else f"{count} runs{each}"
-    )
-    if count < cells:
-        out.console.print(f"fewer runs than cells: the last {cells - count} of them are not flown")
-
-
-def _share(count: int, cells: int) -> str:
-    """How often each cell is flown, in words."""
-    if count < cells:
-        return f"one each in the first {count}" if count > 1 else "in the first one"
-    least, more = divmod(count, cells)
-    return f"{least} each" if not more else f"{least} or {least + 1} each"
-
-
-def _fly_all(
-    out: Output,
-    cases: Cases,
-    todo: list[int],
-    table: Table,
-    *,
-    interrupted: Interrupted,
-    deaf: ExitStack,
-    scheduler: str | None,
-    workers: int | None,
-    done: int,
-) -> list[Lost]:
-    """Flies what is missing; whatever happens, rows that came back are in the table.
-
-    Returns what was lost. Ctrl-C is heard by ``interrupted`` until ``deaf`` closes.
-    """
-    waiting: list[Row] = []
-    flushed_s = time.monotonic()
-    counts = {"not formed": 0, "below r": 0, "errors": 0}
-    progress = Progress(
-        TextColumn("flying"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-        console=out.console,
-        transient=True,
-        disable=not out.console.is_terminal,
-    )
-    bar = progress.add_task("flying", total=len(todo) + done, completed=done, state="")
-
-    def keep(rows: list[Row]) -> None:
-        nonlocal flushed_s
-        waiting.extend(rows)
-        for row in rows:
-            counts["not formed"] += not row["formed"]
-            counts["below r"] += below_r(row)
-            counts["errors"] += bool(row["error"])
-        state = ", ".join(f"{value} {key}" for key, value in counts.items() if value)
-        progress.update(bar, advance=len(rows), state=state)
-        if len(waiting) >= _FLUSH_ROWS or time.monotonic() - flushed_s >= _FLUSH_S:
-            table.append(waiting)
-            waiting.clear()
-            flushed_s = time.monotonic()
-
-    try:
-        with dask_flyer(scheduler, workers, out.console.print) as flyer, progress:
-            deaf.enter_context(interrupted.listening())
-            lost = spread(map(cases.case, itertools.chain(todo)), flyer, keep, interrupted)
-            if lost:  # perhaps only with a worker that another run had killed, so that each gets one more chance alone
-                out.console.print(f"{len(lost)} lost with their workers; flying them once more, one at a time")
-                lost = [
-                    again for one in lost for again in spread(iter([cases.case(one.run)]), flyer, keep, interrupted)
-                ]
-        if interrupted.asked:
-            out.console.print("stopping: table and summary of the runs that are there")
-        return lost
-    finally:
-        table.append(waiting)
-
-
-def _lost(lost: Sequence[Lost], count: int) -> str:
-    """How many runs were not flown, in words; why the first of them was not."""
-    first = min(lost, key=lambda item: item.run)
-    were = "was" if len(lost) == 1 else "were"
-    return (
-        f"{len(lost)} of {count} runs {were} not flown (run {first.run}: {first.why}); --resume flies what is missing"
-    )
-
-
-def _fly_one(out: Output, cases: Cases, run: int, log: Path | None) -> None:
-    """Flies one run again, with a log where one is asked for."""
-    if log is not None:
-        claim_log(log, lambda there: there.dry_run)
-    with threadpool_limits(1):
-        row = fly_case(cases.case(run), log)
-    listing = Listing("column", "value", title=f"run {run}")
-    unknown = ("log_mismatches", "log_complete") if row["log_mismatches"] < 0 else ()  # the log was not verified
-    for key, value in row.items():
-        if key not in unknown and value not in ("", None) and not (isinstance(value, float) and math.isnan(value)):
-            listing.add_row(key, f"{value:.4f}" if isinstance(value, float) else str(value))
-    out.console.print(listing)
-    out.result({**row, "log": None if log is None else str(log)})
-    if row["error"]:
-        raise MissionFailed(f"run {run}: {row['error']}") if row["outcome"] else _unflown(run, row)
-
-
-def _unflown(run: int, row: Row) -> UserError:
-    error = CheckFailed(f"run {run}: {row['error']}")
-    error.answered = True
-    return error
-
-
-def _tell(out: Output, values: Mapping[str, Any], folder: Path) -> None:
-    cells = [*values["cells"], {"cell": "all", **values}]
-    if len(cells) > _CELLS_SHOWN:
-        out.console.print(f"{len(cells) - 1} cells; those that are not safe in every run:")
-        cells = [cell for cell in cells[:-1] if cell["safe_rate"] < 1.0][:_CELLS_SHOWN] + cells[-1:]
-    listing = Listing(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    listing.add_column("cell", min_width=12, overflow="fold")
-    for heading in ("runs", "success (95 %)", "formed", "safe", "<r", "median", "nearest"):
-        listing.add_column(heading, no_wrap=True, justify="right")
-    for cell in cells:
-        low, high = (f"{100 * cell[f'success_{end}']:.3g}" for end in ("low", "high"))
-        listing.add_row(
-            cell["cell"],
-            str(cell["runs"]),
-            f"{_figure(100 * cell['success_rate'], '%')} ({low}-{high})",
-            _figure(100 * cell["formed_rate"], "%"),
-            _figure(100 * cell["safe_rate"], "%"),
-            str(cell["below_r"]),
-            _figure(cell["median_time_to_form_s"], "s"),
-            _figure(cell["min_distance_m"], "m"),
-        )
-    out.console.print(listing)
-    for worst in values["worst"][:3]:
-        out.console.print(f"run {worst['run']}: {worst['why']}\n  {worst['replay']}")
-    out.console.print(f"summary and pictures: {folder / 'index.html'}")
-
-
-def _figure(value: float, unit: str) -> str:
-    return f"{value:.3g} {unit}" if math.isfinite(value) else "-"

@@ -12,6 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.options import JsonOption
 from groundstation.app.order_client import ask, flights, runtime_folder
 from groundstation.app.output import Output
 from groundstation.core.errors import CheckFailed, MissionFailed, UserError
@@ -34,7 +35,7 @@ def command(
         str | None, typer.Option(help="Mission, log or process id of the flight, where there are several.")
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Kill without asking back.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Gives an order to a flight in another terminal: of the same user, on the same machine."""
     out = Output(as_json=as_json)

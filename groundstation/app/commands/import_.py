@@ -10,12 +10,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
-from groundstation.app.resources import find_config
-from groundstation.design.store import load_formation
-from groundstation.records.imports import import_crazyswarm
-from groundstation.records.manifest import claim_log, manifest_path, versions
-from groundstation.records.replay import load_flight
 
 
 class Source(StrEnum):
@@ -35,9 +31,15 @@ def import_(
     radius_m: Annotated[
         float | None, typer.Option(help="Safety radius r in metres, where its files do not say; for the report.", min=0)
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Turns the recorded flight of another program into a log."""
+    from groundstation.app.resources import find_config
+    from groundstation.design.store import load_formation
+    from groundstation.records.imports import import_crazyswarm
+    from groundstation.records.manifest import claim_log, manifest_path, versions
+    from groundstation.records.replay import load_flight
+
     out = Output(as_json=as_json)
     wanted = None
     if formation is not None:

@@ -8,12 +8,9 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from groundstation.app.commands.replay import nothing_in
-from groundstation.app.options import ForceOption
+from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
-from groundstation.app.report import claim_report, write_report
 from groundstation.core.errors import CheckFailed
-from groundstation.records.replay import load_flight
 
 
 def report(
@@ -21,9 +18,13 @@ def report(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures and the page.")],
     *,
     force: ForceOption = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Draws trajectories, distances, formation error and setpoints of a flight."""
+    from groundstation.app.replaying import nothing_in
+    from groundstation.app.report import claim_report, write_report
+    from groundstation.records.replay import load_flight
+
     out = Output(as_json=as_json)
     flight = load_flight(log)
     for line in (flight.message, *flight.notes, *flight.contents):

@@ -4,29 +4,31 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from pydantic import BaseModel
 
 from groundstation.app.output import print_text
 from groundstation.core.errors import UserError
 
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
 
 def _mission() -> type[BaseModel]:
-    from groundstation.mission.plan.schema import MissionSpec  # noqa: PLC0415 - only what is asked for is loaded
+    from groundstation.mission.plan.schema import MissionSpec
 
     return MissionSpec
 
 
 def _formation() -> type[BaseModel]:
-    from groundstation.design.store import FormationFile  # noqa: PLC0415
+    from groundstation.design.store import FormationFile
 
     return FormationFile
 
 
 def _campaign() -> type[BaseModel]:
-    from groundstation.app.campaign.vary import VarySpec  # noqa: PLC0415
+    from groundstation.app.campaign.vary import VarySpec
 
     return VarySpec
 

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
+from groundstation.app.options import JsonOption, SetOption
 from groundstation.app.output import Output
-from groundstation.app.real_sitl import HOME, lines, starts
-from groundstation.app.resources import find_config
 from groundstation.core.errors import UserError
-from groundstation.mission.plan.reading import load_mission
+
+_HOME = "47.397742,8.545594,489.4"  # where PX4's own simulator begins
 
 
 def sitl_env(
@@ -20,19 +20,21 @@ def sitl_env(
     *,
     home: Annotated[
         str, typer.Option(help="Where the team frame has its origin: LAT,LON,ALT in degrees and metres.")
-    ] = ",".join(map(str, HOME)),
+    ] = _HOME,
     stock: Annotated[
         bool, typer.Option("--stock", help="PX4 as it comes, without parameters of its estimator.")
     ] = False,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+    changes: SetOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Prints a shell script that starts a mission's team on the autopilots' own simulators; starts nothing.
 
     ``gs sitl-env px4_cube8.yaml > team.sh; PX4=... sh team.sh``, then ``gs fly --mission px4_cube8.yaml`` elsewhere.
     """
+    from groundstation.app.real_sitl import lines, starts
+    from groundstation.app.resources import find_config
+    from groundstation.mission.plan.reading import load_mission
+
     out = Output(as_json=as_json)
     place = _place(home)
     plan = load_mission(find_config(mission, "missions"), changes or ())

@@ -10,10 +10,9 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
-from groundstation.app.resources import find_config, packaged_configs, packaged_names
 from groundstation.core.errors import UserError
-from groundstation.core.files import read_yaml
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # what a mission may be called, and any file system takes
 _FORMATION = re.compile(r"\.\./formations/([\w-]+\.yaml)")
@@ -37,11 +36,12 @@ Gains are designed when the mission is loaded. To keep them: `gs design {first} 
 `gains: gains.npz` into the mission.
 """
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
-
 
 def missions(*, as_json: JsonOption = False) -> None:
     """Lists the missions that come along. Fly one with gs fly, or copy one with gs init."""
+    from groundstation.app.resources import packaged_configs, packaged_names
+    from groundstation.core.files import read_yaml
+
     out = Output(as_json=as_json)
     table = Table("mission", "vehicles", "what it is")
     rows = []
@@ -65,6 +65,8 @@ def init(
     as_json: JsonOption = False,
 ) -> None:
     """Makes a folder with a mission, its formation and a page that says what to type next."""
+    from groundstation.app.resources import find_config
+
     out = Output(as_json=as_json)
     folder = Path(name)
     if not _NAME.fullmatch(folder.name):

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
-from groundstation.app.discovery import Discovery
-from groundstation.app.loop import FlightClock, Interrupts, talk
+from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
-from groundstation.app.signing import gate_of
 from groundstation.core.errors import MissionFailed
-from groundstation.links.opening import open_link
-from groundstation.mavlink.addresses import parse_address
-from groundstation.mavlink.kinds import unflown_words
-from groundstation.mavlink.station import Outgoing
-from groundstation.mission.plan.schema import VEHICLE_IDS
+
+if TYPE_CHECKING:
+    from groundstation.mavlink.station import Outgoing
 
 _DEFAULT = ["udpin://0.0.0.0:14540"]
 
@@ -33,13 +27,19 @@ def vehicles(
         Path | None, typer.Option("--key", help="Key file of vehicles that sign; the others are not heard then.")
     ] = None,
     seconds: Annotated[float, typer.Option(help="How long to look.", min=0.5, max=600)] = 4.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer with one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Finds the vehicles on links and prints a ``vehicles:`` block for a mission file. Arms nothing.
 
     Ends with 1 when nobody is heard, when a link does not work, or when two vehicles bear one system id: these are left
     out of the block.
     """
+    from groundstation.app.discovery import Discovery, show_found
+    from groundstation.app.loop import FlightClock, Interrupts, talk
+    from groundstation.app.signing import gate_of
+    from groundstation.links.opening import open_link
+    from groundstation.mavlink.addresses import parse_address
+
     out = Output(as_json=as_json)
     addresses = [parse_address(url) for url in dict.fromkeys(urls or _DEFAULT)]
     discovery = Discovery(addresses)
@@ -70,7 +70,7 @@ def vehicles(
             troubles += gate.words([address.url for address in addresses], {})
     found, doubles = discovery.vehicles(), discovery.doubles(now_ns)
     unflown = discovery.unflown()
-    _show(out, discovery, [*troubles, *doubles, *unflown], now_ns)
+    show_found(out, discovery, [*troubles, *doubles, *unflown], now_ns)
     failures = [*broken, *doubles]
     if not found:
         looked = ", ".join(address.url for address in addresses)
@@ -100,20 +100,3 @@ def vehicles(
     )
     if failures:
         raise MissionFailed("; ".join(failures))
-
-
-def _show(out: Output, discovery: Discovery, problems: list[str], now_ns: int) -> None:
-    table = Table("id", "autopilot", "type", "version", "mode", "armed", "place")
-    for item in discovery.vehicles():
-        name = item.autopilot.name if item.autopilot else f"MAV_AUTOPILOT {item.mav_autopilot}, not flown by gs"
-        place = item.place_deg_m
-        where = f"{place[0]:.6f} {place[1]:.6f} {place[2]:.1f} m" if place else "-"
-        kind = item.type_name if unflown_words(item.mav_type) is None else f"{item.type_name}, not flown by gs"
-        sysid = str(item.sysid) if item.sysid in VEHICLE_IDS else f"{item.sysid}, no vehicle's"
-        armed = "yes" if item.armed else "no"
-        table.add_row(sysid, name, kind, item.version or "-", item.mode_name, armed, where)
-    out.console.print(table)
-    for problem in problems:
-        out.console.print(Text(problem, style="bold red"))
-    if discovery.found:
-        out.console.print(Text(discovery.block(now_ns)))

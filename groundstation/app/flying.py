@@ -1,0 +1,322 @@
+"""What ``gs fly`` and ``gs check`` do: missions on vehicles, or as a dry run against the emulator."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from groundstation.app.emulator import TruthMeter, served_world, world_config
+from groundstation.app.keyboard import Keyboard
+from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.opening import LogPlan, open_flight
+from groundstation.app.order_client import runtime_folder
+from groundstation.app.order_socket import OrderSocket
+from groundstation.app.output import Output
+from groundstation.app.progress import FlightDisplay, link_troubles
+from groundstation.app.session import Session
+from groundstation.app.signing import FlightGate
+from groundstation.app.steady_file import Disk
+from groundstation.core.errors import PreflightRefused, UserError
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission, read_spec
+from groundstation.mission.purpose import Purpose
+from groundstation.mission.runner import Runner
+from groundstation.records.manifest import (
+    Manifest,
+    claim_log,
+    manifest_path,
+    versions,
+    write_manifest,
+)
+from groundstation.records.tlog import TlogWriter
+from sitl.faults import Fault
+from sitl.world import World
+
+_FLIGHTS = Path("flights")
+
+
+def with_fix(changes: list[str] | None, *, fix: bool) -> list[str]:
+    """The changes of the command line; ``--fix`` is one of the mission, so that a replay knows of it."""
+    return [*(changes or ()), *(["failsafe.set_parameters=true"] if fix else [])]
+
+
+def judged(out: Output, path: Path, changes: Sequence[str]) -> MissionPlan:
+    """Loads a mission to be checked: one that does not fit itself is refused, not a mistake of usage.
+
+    Raises:
+        UserError: the file cannot be read.
+        PreflightRefused: gains, formation, pads, fence and r do not fit each other.
+    """
+    spec = read_spec(path, changes)
+    try:
+        return load_mission(path, changes)
+    except UserError as error:
+        out.result({"mission": spec.name, "ready": False, "problems": [str(error)], "failsafe": "", "vehicles": []})
+        raise PreflightRefused(refusal(str(error))) from None
+
+
+def refusal(reason: str, what: str | None = None) -> str:
+    """Words for a refusal, one line for each vehicle, link or system that is named."""
+    lines = reason.replace("; vehicle", "\n  vehicle").replace("; link ", "\n  link ").replace("; system", "\n  system")
+    return f"{what or 'preflight refused, nothing was armed'}:\n  {lines}"
+
+
+def refused_frames(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
+    """What signing left out, a line for each sender and reason, and whether its times could be kept."""
+    if gate is None:
+        return []
+    link_of = {vehicle.id: link for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)}
+    return [*gate.words(plan.links, link_of), *([gate.problem] if gate.problem else [])]
+
+
+def period_ns(plan: MissionPlan) -> int:
+    """Length of a tick."""
+    return round(1_000_000_000 / plan.spec.rate_hz)
+
+
+def log_path_of(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: int) -> Path:
+    """Where to record.
+
+    Raises:
+        UserError: the file exists and must be kept, or its folder cannot be made.
+    """
+    name = f"{plan.spec.name}-seed{seed}" if dry_run else f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    path = wanted or _free(_FLIGHTS, name)
+    claim_log(path, lambda there: dry_run and there.dry_run)
+    return path
+
+
+def _free(folder: Path, name: str) -> Path:
+    """A log's path of that name that is not there yet: NAME.tlog, NAME-2.tlog and so on."""
+    path = folder / f"{name}.tlog"
+    for number in itertools.count(2):
+        if not path.exists() and not path.is_symlink():
+            break
+        path = folder / f"{name}-{number}.tlog"
+    return path
+
+
+def fly_dry(
+    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, seed: int, realtime: bool
+) -> dict[str, Any]:
+    """Flies the emulator in virtual time."""
+    world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
+    meter = TruthMeter(world)
+    recorded = LogPlan(log_path, versions(), seed, dry_run=True, replace=True)
+    with ExitStack() as stack:
+        flight = open_flight(stack, plan, log=recorded, make=Session)
+        session, gate = flight.session, flight.gate
+        interrupts = Interrupts()
+        with ExitStack() as at_the_desk:
+            at_the_desk.enter_context(interrupts.listening())
+            # A dry run in virtual time is over before anybody could say anything.
+            controls, prompt = _controls(at_the_desk, session, log_path) if realtime else ((), None)
+            display = at_the_desk.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
+            fly_virtual(
+                session,
+                world,
+                period_ns=period_ns(plan),
+                watchers=(display, meter),
+                interrupts=interrupts,
+                pace=wall_clock_pace() if realtime else None,
+                controls=controls,
+            )
+    values = _values(session, log_path, seed) | meter.figures() | {"log_complete": _complete(flight.log)}
+    record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
+    _tell_refused(out, values, plan, gate)
+    _finish(out, log_path, flight.manifest, values | record)
+    return values | {"beside": record}
+
+
+def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Sequence[Control], Callable[[], str] | None]:
+    """What the operator can speak by besides Ctrl-C, and the line that tells of the keys."""
+    controls: list[Control] = []
+    plan, prompt = session.runner.plan, None
+    ids = [vehicle.id for vehicle in plan.spec.vehicles]
+    # A file's name need not be text.
+    path = os.fsencode(log_path.resolve()).decode("utf-8", "replace")
+    about = {
+        "mission": plan.spec.name,
+        "log": path,
+        "pid": os.getpid(),
+        "vehicles": ids,
+    }
+    try:
+        folder = runtime_folder(os.environ, Path.home())
+        controls.append(stack.enter_context(OrderSocket(folder, about)))
+    except (UserError, RuntimeError) as error:  # a flight needs no second terminal
+        session.remark("alarm", str(error), 0)
+    descriptor = 0  # standard input, whatever stands in for it in this process
+    if Keyboard.usable(descriptor):
+        keyboard = stack.enter_context(Keyboard(descriptor, ids))
+        controls.append(keyboard)
+        prompt = keyboard.prompt
+    return controls, prompt
+
+
+def _complete(log: TlogWriter | None) -> bool:
+    """Whether everything was recorded; known when the log is closed."""
+    return log is not None and log.problem is None
+
+
+def _finish(out: Output, log_path: Path, manifest: Manifest | None, ended: Mapping[str, Any]) -> None:
+    """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
+    if manifest is None:
+        return
+    try:
+        write_manifest(manifest_path(log_path), manifest.finished(ended))
+    except UserError as error:
+        out.console.print(Text(f"gs: {error}; it lacks how the flight ended", style="bold red"))
+
+
+def fly_vehicles(
+    out: Output,
+    plan: MissionPlan,
+    log_path: Path,
+    faults: Sequence[Fault],
+    *,
+    emulated_seed: int | None,
+    take_over: bool,
+) -> dict[str, Any]:
+    """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
+    with ExitStack() as stack:
+        meter, emulated = None, emulated_seed is not None
+        if emulated_seed is not None:
+            meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
+        disk = Disk()
+        recorded = LogPlan(log_path, versions(), emulated_seed, replace=emulated, through=disk.through)
+        purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
+        flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
+        session, gate, links = flight.session, flight.gate, flight.links
+        if flight.unlogged:
+            out.console.print(Text(f"gs: {flight.unlogged}; flying without a log", style="bold red"))
+        interrupts = Interrupts()
+        with ExitStack() as at_the_desk:
+            at_the_desk.enter_context(interrupts.listening())
+            controls, prompt = _controls(at_the_desk, session, log_path)
+            display = at_the_desk.enter_context(FlightDisplay(out.console, plan, links, prompt))
+            fly_real(
+                session,
+                links,
+                flight.clock or FlightClock(),
+                period_ns=period_ns(plan),
+                watchers=(display, disk, *(() if meter is None else (meter,))),
+                interrupts=interrupts,
+                controls=controls,
+            )
+        values = _values(session, log_path, emulated_seed)
+        values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
+        _tell_refused(out, values, plan, gate)
+        record = _for_the_record(session.runner, gate)
+        for url, link in zip(plan.links, links, strict=True):
+            record["counts"][f"errors of {url}"] = link.errors
+        if meter is not None:
+            values |= meter.figures()
+            record["move_error_m"] = meter.move_error_m
+    values["log_complete"] = _complete(flight.log)
+    _finish(out, log_path, flight.manifest, values | record)
+    return values | {"beside": record}
+
+
+def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any]:
+    """The figures of a flight, as the command line promises them; distances as the vehicles reported them.
+
+    The caller adds ``log_complete`` when the log is closed.
+    """
+    runner = session.runner
+    figures, spec = runner.figures, runner.plan.spec
+    reason = runner.reason or ("" if runner.outcome else "interrupted by the operator")
+    if session.unlogged:
+        reason = f"{session.unlogged}; nobody takes off without a log, make room or give another place with --log"
+    return {
+        "mission": spec.name,
+        "outcome": "completed" if runner.outcome == "completed" else "aborted",
+        "reason": reason,
+        "refused": runner.outcome == "refused" or bool(session.unlogged and not session.armed_unlogged),
+        "vehicles": runner.plan.size,
+        "converged": figures.converged,
+        "time_to_form_s": figures.time_to_form_s,
+        "formation_error_m": figures.formation_error_m,
+        "min_distance_m": figures.min_distance_m,
+        "min_clearance": figures.min_clearance,
+        "safety_radius_m": spec.avoidance.radius_m,
+        "gridlocks": figures.gridlocks,
+        "role_swaps": figures.role_swaps,
+        "wind_mean_m_s": figures.wind_mean_m_s,
+        "wind_gust_m_s": figures.wind_gust_m_s,
+        "setpoints": runner.setpoints_sent,
+        "ticks": figures.ticks,
+        "deadline_misses": figures.deadline_misses,
+        "duration_s": figures.flight_time_s,
+        "wall_s": None,
+        "log": str(log_path),
+        "seed": seed,
+    }
+
+
+def _for_the_record(runner: Runner, gate: FlightGate | None) -> dict[str, Any]:
+    """What the manifest keeps beside the figures: events that were only counted, and where local frames begin."""
+    refused = gate.totals() if gate is not None else {}
+    return {
+        "counts": dict(runner.fleet.counts) | refused,
+        "local_origins_enu_m": runner.local_origins_enu_m,
+        "move_error_m": runner.figures.move_error_m,
+        "detours": runner.figures.detours,
+    }
+
+
+def _tell_refused(out: Output, values: dict[str, Any], plan: MissionPlan, gate: FlightGate | None) -> None:
+    """Tells what signing left out; where the flight came to nothing that may be why."""
+    lines = refused_frames(plan, gate)
+    if values["refused"]:
+        values["reason"] = "; ".join([str(values["reason"]), *lines])
+        return
+    for line in lines:
+        out.console.print(Text(line, style="bold red"))
+
+
+def tell_flight(out: Output, values: Mapping[str, Any]) -> None:
+    """Prints the figures of a flight."""
+    table = Table(show_header=False, title=f"mission {values['mission']}: {values['outcome']}")
+    for label, value in (
+        ("formed after", _figure(values["time_to_form_s"], "s")),
+        ("largest distance error while holding", _figure(values["formation_error_m"], "m")),
+        ("largest distance error while moving", _figure(values["move_error_m"], "m", missing="")),
+        ("smallest distance in the air", _figure(values["min_distance_m"], "m")),
+        ("smallest clearance, 1 = at the safety region", _figure(values["min_clearance"], "")),
+        ("safety radius r", _figure(values["safety_radius_m"], "m")),
+        ("gridlocks, swaps of roles, detours", _gridlocks(values)),
+        ("wind at its strongest, as felt", _wind(values)),
+        ("flight time", _figure(values["duration_s"], "s")),
+        ("setpoints sent", str(values["setpoints"])),
+        ("log", values["log"]),
+    ):
+        if value:
+            table.add_row(label, value)
+    out.console.print(table)
+    if not values["log_complete"]:
+        out.console.print(Text("the log is not complete: the flight was not recorded to its end", style="bold red"))
+
+
+def _gridlocks(values: Mapping[str, Any]) -> str:
+    counts = [values[name] for name in ("gridlocks", "role_swaps", "detours")]
+    return ", ".join(str(count) for count in counts) if any(counts) else ""
+
+
+def _wind(values: Mapping[str, Any]) -> str:
+    mean_m_s, gust_m_s = values["wind_mean_m_s"], values["wind_gust_m_s"]
+    return f"mean {mean_m_s:.1f} m/s, gusts {gust_m_s:.1f} m/s" if math.isfinite(mean_m_s) else ""
+
+
+def _figure(value: float, unit: str, missing: str = "-") -> str:
+    return f"{value:.3f} {unit}" if math.isfinite(value) else missing

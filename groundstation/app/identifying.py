@@ -1,0 +1,83 @@
+"""What ``gs identify`` tells: figures of each vehicle's velocity loop, in words and as lines of a mission file."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from groundstation.core.identify import Response
+from groundstation.records.manifest import manifest_beside
+
+DIRECTIONS = ("east", "north", "up")
+DELAY_SHARE_MAX = 0.4
+"""Share of t63 from which on a delay is worth a word: profiles that come along have a fifth at most."""
+
+
+def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
+    """One line for each profile that the vehicles fly under: the figures of the slowest vehicle."""
+    lines = []
+    for name in dict.fromkeys(vehicle["profile"] for vehicle in vehicles if vehicle["profile"]):
+        found = [item for item in vehicles if item["profile"] == name and item["lag_s"] is not None]
+        if found:
+            slowest = max(found, key=lambda item: item["t63_s"])
+            lines.append(f"{name}: {{lag_s: {slowest['lag_s']:.2f}, delay_s: {slowest['delay_s']:.2f}}}")
+    return lines
+
+
+def delay_note(vehicles: list[dict[str, Any]]) -> str:
+    """What it means that most of the time to 63 % is found as delay; empty where no split says anything unusual."""
+    known = [item for item in vehicles if item["lag_s"] is not None]
+    shares = {item["id"]: item["delay_s"] / item["t63_s"] for item in known}
+    large = {sysid: share for sysid, share in shares.items() if share > DELAY_SHARE_MAX}
+    if not large:
+        return ""
+    who = ", ".join(f"{sysid} ({share:.0%})" for sysid, share in large.items())
+    return (
+        f"vehicle{'s' if len(large) > 1 else ''} {who}: that much of t63 is delay. Either the links are slow, or it"
+        " answers in an S (slowly, then quickly), of which a delay and a lag are a likeness only; then t63 is right and"
+        " how it is shared out is not. The pair can be flown with: r is kept with the sum of both, and a delay makes"
+        " the team gentler than a lag would"
+    )
+
+
+def profiles(log: Path) -> dict[int, str]:
+    """Profile of each vehicle, by id, as the manifest beside a log has it."""
+    manifest = manifest_beside(log)
+    vehicles = () if manifest is None else manifest.mission.get("vehicles") or ()
+    return {int(item["id"]): str(item.get("profile", "crazyflie")) for item in vehicles}
+
+
+def slowest(axes: dict[str, Response]) -> dict[str, Any]:
+    """The vehicle's figures: the slower of horizontal and vertical; none where the horizontal is not known."""
+    if axes["horizontal"].problem:
+        return {"lag_s": None, "delay_s": None, "t63_s": None, "problem": axes["horizontal"].problem}
+    found = [axes[name] for name in ("horizontal", "up") if not axes[name].problem]
+    slowest = max(found, key=lambda item: item.t63_s)
+    return {"lag_s": slowest.lag_s, "delay_s": slowest.delay_s, "t63_s": slowest.t63_s, "problem": ""}
+
+
+def values(found: Response) -> dict[str, Any]:
+    """One direction in the JSON answer."""
+    return {
+        "lag_s": found.lag_s,
+        "delay_s": found.delay_s,
+        "t63_s": found.t63_s,
+        "error_s": found.error_s,
+        "gain": found.gain,
+        "explained": found.explained,
+        "problem": found.problem,
+    }
+
+
+def cells(found: Response) -> list[str]:
+    """One direction in the table."""
+    if found.problem:
+        return ["-", "-", "-", "-", "-" if math.isnan(found.explained) else f"{found.explained:.0%}"]
+    return [
+        f"{found.t63_s:.2f} ± {found.error_s:.2f} s",
+        f"{found.lag_s:.2f} s",
+        f"{found.delay_s:.2f} s",
+        f"{found.gain:.2f}",
+        f"{found.explained:.0%}",
+    ]

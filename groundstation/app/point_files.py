@@ -1,0 +1,76 @@
+"""Points that people bring along in CSV files, how they are scaled, and files that are made new or not at all."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from groundstation.core.errors import UserError
+from groundstation.core.types import FloatArray
+from groundstation.design.common_shapes import shortest_m
+
+_BYTES_MAX = 1 << 20
+
+
+def scale_to(points_m: FloatArray, spacing_m: float | None) -> float:
+    """What the points are multiplied by, so that the two nearest are so far apart; points as they are where None."""
+    if spacing_m is None:
+        return 1.0
+    return spacing_m / shortest_m(points_m)
+
+
+def read_points(path: Path) -> FloatArray:
+    """Points of a CSV file: x, y, z in metres, one agent a line; a heading is passed over.
+
+    Raises:
+        UserError: cannot be read, or a line that is not three numbers; two points in one place.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(_BYTES_MAX + 1)
+        text = content.decode("utf-8-sig")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: is not a text file in UTF-8") from None
+    if len(content) > _BYTES_MAX:
+        raise UserError(f"{path}: is longer than {_BYTES_MAX >> 20} MB, the limit for such files")
+    points: list[list[float]] = []
+    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
+        if not row or (number == 1 and not _is_number(row[0])):
+            continue
+        if len(row) != 3 or not all(map(_is_number, row)):
+            raise UserError(
+                f"{path}: line {number}: expected three finite numbers x,y,z in metres, got {','.join(row)!r}"
+            )
+        points.append([float(value) for value in row])
+    if not 2 <= len(points) <= 2_000:
+        raise UserError(f"{path}: has {len(points)} points; a formation has 2 to 2000")
+    array = np.array(points)
+    if not shortest_m(array) > 0.0:
+        raise UserError(f"{path}: two points are in one place; move one of them")
+    return array
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(abs(float(text)) <= 1e6)
+    except ValueError:
+        return False
+
+
+def write_new(path: Path, text: str) -> None:
+    """Writes a file that is not there yet.
+
+    Raises:
+        UserError: it is there, or cannot be written.
+    """
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise UserError(f"{path}: is there already; choose another file with -o, or remove it first") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}; choose another file with -o") from None
