@@ -29,7 +29,7 @@ from groundstation.mission.phases.table import Event
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.team import Team
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SECOND_NS, Held
 from groundstation.mission.told import Told
 from groundstation.mission.verdict import Figures, Note
 
@@ -58,7 +58,7 @@ class Runner(Told):
         self._orders = Orders(self._team, self._machine)
         self._lookout = Lookout(self._team, self._machine)
         self._period_ns = round(SECOND_NS / plan.spec.rate_hz)
-        self._sightless_since_ns = NEVER
+        self._sightless = Held()
         self._faults = 0
         self._lines: list[str] = []
         self._sent_ned_m_s: FloatArray = np.zeros((plan.size, 3))
@@ -110,7 +110,7 @@ class Runner(Told):
         self._guarded(now_ns, team.station.ingest)
         self._guarded(now_ns, partial(self._listen, now_ns))
         poses = self._poses(now_ns)
-        sightless = self._sightless_since_ns != NEVER
+        sightless = self._sightless.since_ns != NEVER
         lines, self._lines = self._lines, []
         for line in lines:
             self._guarded(now_ns, partial(self._orders.obey, line, poses, now_ns, sightless=sightless))
@@ -146,12 +146,11 @@ class Runner(Told):
             poses = self._team.frame.poses(self.fleet, now_ns)
         except Exception as error:
             self._fault(error, now_ns)
-            if self._sightless_since_ns == NEVER:
-                self._sightless_since_ns = now_ns
+            self._sightless(True, now_ns)
             n = self.plan.size
             level = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
             return Poses(np.full((n, 3), np.nan), np.zeros((n, 3)), level, np.zeros(n, dtype=np.bool_))
-        self._sightless_since_ns = NEVER
+        self._sightless.forget()
         return poses
 
     def _wait_for_sight(self, now_ns: int) -> None:
@@ -159,7 +158,7 @@ class Runner(Told):
 
         What the autopilots do without a ground station was set before takeoff so that they keep clear of each other.
         """
-        if now_ns - self._sightless_since_ns >= _SIGHTLESS_NS:
+        if self._sightless(True, now_ns, _SIGHTLESS_NS):
             words = "setpoints end, the autopilots' own failsafe takes over"
             self._machine.give_up(words, now_ns, Event.SILENCE)
 

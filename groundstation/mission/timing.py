@@ -43,6 +43,38 @@ class HeldEach:
         return np.asarray(conditions & (now_ns - self.since_ns >= for_ns))
 
 
+class Since:
+    """Since when something is so of each of n vehicles, where they are looked at one by one, now and then."""
+
+    def __init__(self, n: int) -> None:
+        self._since_ns = [NEVER] * n
+
+    def note(self, vehicle: int, now_ns: int) -> None:
+        """It is so now; the first time counts."""
+        if self._since_ns[vehicle] == NEVER:
+            self._since_ns[vehicle] = now_ns
+
+    def again(self, vehicle: int, now_ns: int) -> None:
+        """It counts from now on, whatever was before."""
+        self._since_ns[vehicle] = now_ns
+
+    def forget(self, vehicle: int) -> None:
+        """It is not so."""
+        self._since_ns[vehicle] = NEVER
+
+    def noted(self, vehicle: int) -> bool:
+        """Whether it is so."""
+        return self._since_ns[vehicle] != NEVER
+
+    def held(self, vehicle: int, now_ns: int, for_ns: int) -> bool:
+        """Whether it has been so for so long."""
+        return self.noted(vehicle) and now_ns - self._since_ns[vehicle] >= for_ns
+
+    def began(self, vehicle: int, now_ns: int, within_ns: int) -> bool:
+        """Whether it is so, and has been for less than that."""
+        return self.noted(vehicle) and now_ns - self._since_ns[vehicle] < within_ns
+
+
 class AskAgain:
     """When each of n vehicles was asked last, and whether it is time to ask again.
 
@@ -66,6 +98,10 @@ class AskAgain:
     def asked(self, vehicle: int, now_ns: int) -> None:
         """It is asked now."""
         self._asked_ns[vehicle] = now_ns
+
+    def lately(self, vehicle: int, now_ns: int, within_ns: int) -> bool:
+        """Whether it was asked less than so long ago."""
+        return bool(now_ns - self._asked_ns[vehicle] < within_ns)
 
     def at_once(self, vehicle: int) -> None:
         """It may be asked again at once."""

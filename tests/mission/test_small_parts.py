@@ -13,7 +13,7 @@ from groundstation.mission.flight.killing import Killing
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty, Roster, enlist
-from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, vehicle_list
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, Since, vehicle_list
 from groundstation.mission.verdict import Note, Verdict
 from tests.app.flights import pair
 
@@ -70,7 +70,23 @@ def test_what_is_asked_again_now_and_then_is_asked_at_once_the_first_time() -> N
     assert asking.all_due(14).tolist() == [False, True]
     asking.at_once(0)
     assert asking.due(0, 6)
+    assert [asking.lately(0, 14, 10), asking.lately(1, 14, 10)] == [False, False]
+    asking.asked(0, 5)
+    assert [asking.lately(0, 14, 10), asking.lately(0, 15, 10)] == [True, False]
     assert vehicle_list([1, 3]) == "vehicle 1, vehicle 3"
+
+
+def test_what_is_so_of_one_vehicle_counts_from_the_first_time_until_it_is_forgotten() -> None:
+    since = Since(2)
+    for now in (5, 8):
+        since.note(0, now)
+    assert [since.held(0, 14, 10), since.held(0, 15, 10)] == [False, True]
+    assert [since.began(0, 14, 10), since.began(0, 15, 10)] == [True, False]
+    assert [since.noted(1), since.held(1, 10**12, 10), since.began(1, 0, 10)] == [False, False, False]
+    since.again(0, 14)
+    assert not since.held(0, 15, 10)
+    since.forget(0)
+    assert not since.noted(0)
 
 
 def test_a_verdict_adds_reasons_once_and_is_completed_only_when_nothing_was_said_against_it() -> None:

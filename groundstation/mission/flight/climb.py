@@ -12,17 +12,17 @@ import numpy as np
 
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import CommandQueue
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, NEVER, Fleet
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, Fleet
 from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster, by_command
-from groundstation.mission.timing import AskAgain
+from groundstation.mission.timing import SECOND_NS, AskAgain, Since
 
-_ASK_AGAIN_NS = 2_000_000_000
+_ASK_AGAIN_NS = 2 * SECOND_NS
 _THERE = 0.85  # of the height: from here on setpoints do the rest
 _AHEAD = 0.6  # of its height: one that climbs by velocity is ahead by then; the next takes seconds to lift off
-_STAYS_NS = 2_000_000_000  # at that height, whatever the landed state says
+_STAYS_NS = 2 * SECOND_NS  # at that height, whatever the landed state says
 
 
 class Climb:
@@ -41,7 +41,7 @@ class Climb:
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._by_command = by_command(plan)
         self._asking = AskAgain(plan.size, _ASK_AGAIN_NS)
-        self._high_since_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._high = Since(plan.size)
 
     def step(
         self, now_ns: int, fleet: Fleet, commands: CommandQueue, height_m: FloatArray, target_m: FloatArray
@@ -61,10 +61,9 @@ class Climb:
         ahead = np.asarray(high | left, dtype=np.bool_)
         for vehicle in np.flatnonzero(self._roster.climbing).tolist():
             if high[vehicle]:
-                if self._high_since_ns[vehicle] == NEVER:
-                    self._high_since_ns[vehicle] = now_ns
+                self._high.note(vehicle, now_ns)
                 climbing = fleet.landed_state[vehicle] in (LANDED_TAKEOFF, LANDED_ON_GROUND)
-                if not climbing or now_ns - self._high_since_ns[vehicle] >= _STAYS_NS:
+                if not climbing or self._high.held(vehicle, now_ns, _STAYS_NS):
                     self._roster.end_climb(np.arange(self._plan.size) == vehicle)
             elif (
                 stands[vehicle]

@@ -16,7 +16,7 @@ from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.columns import Columns, Scene
 from groundstation.mission.flight.places import Box, Taken, allot, farthest, nearest_free, taken_at
 from groundstation.mission.roster import Roster
-from groundstation.mission.timing import SECOND_NS, AskAgain
+from groundstation.mission.timing import SECOND_NS, AskAgain, Since
 
 _CROWDED_NS = 20 * SECOND_NS  # so long those who fly below are given to get out of the way
 _PATIENCE_NS = 60 * SECOND_NS  # so long a vehicle waits for a place, where its battery allows that
@@ -50,8 +50,7 @@ class Spots:
         self._news: list[News] = []
         self._told: set[tuple[int, str]] = set()
         self._goals_m: FloatArray = np.full((n, 2), np.nan)  # where each is going to come down, as of this tick
-        self._given_ns = np.full(n, NEVER, dtype=np.int64)
-        self._blocked_ns = np.full(n, NEVER, dtype=np.int64)
+        self._given, self._blocked = Since(n), Since(n)
         self._look, self._look_home = AskAgain(n, _LOOK_AGAIN_NS), AskAgain(1, _LOOK_AGAIN_NS)
 
     def take_news(self) -> list[News]:
@@ -131,10 +130,9 @@ class Spots:
             return False
         clear_here = taken.in_the_way(scene.pos_ned_m[vehicle, :2]) is None
         if clear_here and not self._columns.below(vehicle, scene).any():
-            self._blocked_ns[vehicle] = NEVER
+            self._blocked.forget(vehicle)
             return True
-        if self._blocked_ns[vehicle] == NEVER:
-            self._blocked_ns[vehicle] = now_ns
+        self._blocked.note(vehicle, now_ns)
         return False
 
     def _drop(self, vehicle: int, now_ns: int, scene: Scene) -> bool:
@@ -160,12 +158,12 @@ class Spots:
 
     def _is_late(self, vehicle: int, now_ns: int, scene: Scene, *, arrived: bool) -> bool:
         """Whether a vehicle has tried in vain for too long: to arrive, or to have nobody below."""
-        if self._blocked_ns[vehicle] != NEVER and now_ns - self._blocked_ns[vehicle] >= _CROWDED_NS:
+        if self._blocked.held(vehicle, now_ns, _CROWDED_NS):
             return True
         if arrived or not scene.wanted[vehicle]:
             return False
-        tried_ns = min(self._waited_ns(vehicle, now_ns), now_ns - int(self._given_ns[vehicle]))
-        return tried_ns >= (_LOST_WAY_NS if self._roster.elsewhere[vehicle] else _LATE_HOME_NS)
+        late_ns = _LOST_WAY_NS if self._roster.elsewhere[vehicle] else _LATE_HOME_NS
+        return self._waited_ns(vehicle, now_ns) >= late_ns and not self._given.began(vehicle, now_ns, late_ns)
 
     def _look_elsewhere(self, vehicle: int, now_ns: int, scene: Scene, settled: list[int], who: int | None) -> None:
         """Gives a vehicle the next place that is free, or lets it wait."""
@@ -179,7 +177,8 @@ class Spots:
         if place_m is None:
             self._tell(vehicle, f"no place inside the fence is free for it to land on, {because}; it waits in the air")
             return
-        self._blocked_ns[vehicle], self._given_ns[vehicle] = NEVER, now_ns
+        self._blocked.forget(vehicle)
+        self._given.again(vehicle, now_ns)
         self._roster.give_place(vehicle, [*place_m, self._high(float(scene.pos_ned_m[vehicle, 2]))])
         self._goals_m[vehicle] = place_m
         off_m = float(np.linalg.norm(place_m - self._columns.pads_ned_m[vehicle, :2]))
@@ -194,7 +193,7 @@ class Spots:
         own_pad = at_home and not (self._roster.lands_here[vehicle] or self._roster.elsewhere[vehicle])
         start_m = pad_m if own_pad else scene.pos_ned_m[vehicle, :2]
         fixed = self._columns.taken(vehicle, scene, None)
-        if self._blocked_ns[vehicle] != NEVER:  # they were given time to leave
+        if self._blocked.noted(vehicle):  # they were given time to leave
             stay = np.flatnonzero(self._columns.below(vehicle, scene))
             fixed = fixed.beside(taken_at(stay, scene.pos_ned_m, distances.beside_m))
         fixed = fixed.wider(distances.wish_m - distances.beside_m)

@@ -19,7 +19,7 @@ from groundstation.mission.ground.failsafe import FailsafePlan, make_failsafe
 from groundstation.mission.ground.parameters import ParameterCheck
 from groundstation.mission.ground.standing import pad_words, too_near
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS, AskAgain
+from groundstation.mission.timing import SECOND_NS, AskAgain, Since
 
 _ASK_NS = 2 * SECOND_NS
 _PATIENCE_NS = 8 * SECOND_NS  # for what is only nice to know; asked for longer than that it is not
@@ -67,7 +67,7 @@ class Checks:
         self._ids = [vehicle.id for vehicle in plan.spec.vehicles]
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         self._asking = {name: AskAgain(plan.size, _ASK_NS) for name in ("version", "estimator")}
-        self._first_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._first = Since(plan.size)
 
     def team_problem(self) -> str | None:
         """What is wrong with the mission's failsafes as such."""
@@ -80,8 +80,7 @@ class Checks:
     def ask(self, vehicle: int, now_ns: int) -> None:
         """Asks a vehicle for what it has not told yet; it stands disarmed."""
         fleet, autopilot = self._station.fleet, self._plan.autopilots[vehicle]
-        if self._first_ns[vehicle] == NEVER:
-            self._first_ns[vehicle] = now_ns
+        self._first.note(vehicle, now_ns)
         if fleet.firmware[vehicle] == UNKNOWN and not self._given_up(vehicle, now_ns):
             self._ask_once("version", "AUTOPILOT_VERSION", vehicle, now_ns)
         known = fleet.estimator_ns[vehicle] != NEVER
@@ -103,8 +102,8 @@ class Checks:
 
     def _given_up(self, vehicle: int, now_ns: int) -> bool:
         """Whether a vehicle had time enough to tell what is only nice to know."""
-        first_ns = int(self._first_ns[vehicle])
-        return first_ns != NEVER and now_ns - first_ns >= _PATIENCE_NS + round(self._plan.spec.link_delay_s * SECOND_NS)
+        patience_ns = _PATIENCE_NS + round(self._plan.spec.link_delay_s * SECOND_NS)
+        return self._first.held(vehicle, now_ns, patience_ns)
 
     # What is wrong
 

@@ -24,7 +24,7 @@ from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.reasons.blame import HELP_IN_THE_AIR
-from groundstation.mission.timing import SECOND_NS, AskAgain
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held, Since
 
 _ASK_AGAIN_NS = 5 * SECOND_NS
 _REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * SECOND_NS, 10 * SECOND_NS
@@ -58,18 +58,31 @@ class GroundState:
 
 
 class _Reasons:
-    """When vehicles that cannot be armed were asked why.
+    """When vehicles that cannot be armed are asked why.
 
     Attributes:
-        asked_ns: the last time, shape (n,).
-        asks: how often, shape (n,).
-        unready_ns: since when they cannot be armed, shape (n,).
+        unready: since when they cannot be armed.
     """
 
     def __init__(self, n: int) -> None:
-        self.asked_ns = np.full(n, NEVER, dtype=np.int64)
-        self.asks = np.zeros(n, dtype=np.int64)
-        self.unready_ns = np.full(n, NEVER, dtype=np.int64)
+        self.unready = Since(n)
+        self._asking = AskAgain(n, _REASON_AGAIN_NS)
+        self._asks = [0] * n
+
+    def due(self, vehicle: int, now_ns: int) -> bool:
+        """Whether one that cannot be armed is to be asked now: most say why by themselves, once, if they do."""
+        self.unready.note(vehicle, now_ns)
+        return self.unready.held(vehicle, now_ns, _REASON_FIRST_NS) and self._asking.due(vehicle, now_ns)
+
+    def asked(self, vehicle: int, now_ns: int) -> None:
+        """It is asked now."""
+        self._asking.asked(vehicle, now_ns)
+        self._asks[vehicle] += 1
+
+    def may_answer(self, vehicle: int, now_ns: int) -> bool:
+        """Whether it has not had the time to say why."""
+        asks = self._asks[vehicle]
+        return not asks or (asks == 1 and self._asking.lately(vehicle, now_ns, _REASON_PATIENCE_NS))
 
 
 class Preflight:
@@ -91,11 +104,11 @@ class Preflight:
         self.streams = Streams(plan, station)
         self._mode_asking = AskAgain(plan.size, _ASK_AGAIN_NS)
         self._reasons = _Reasons(plan.size)
-        self._probed_ns = np.full(plan.size, NEVER, dtype=np.int64)
-        self._heard_ns = np.full(plan.size, NEVER, dtype=np.int64)
+        self._probing = AskAgain(plan.size, _PROBE_AGAIN_NS)
+        self._heard_of = Since(plan.size)
         self._noted: set[str] = set()
         self._told_slow: BoolArray = np.zeros(plan.size, dtype=np.bool_)
-        self._armed_ns = NEVER
+        self._any_armed = Held()
         self._checked = [False] * plan.size
         self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
@@ -198,12 +211,10 @@ class Preflight:
         fleet = self._station.fleet
         name = f"vehicle {self._plan.spec.vehicles[vehicle].id}"
         self.checks.armed(vehicle)
-        if self._armed_ns == NEVER:
-            self._armed_ns = now_ns
         landed = int(fleet.landed_state[vehicle])
         if landed == 0 and now_ns - self.streams.rates[vehicle].asked_ns >= SECOND_NS:
             self.streams.request(vehicle, now_ns)
-        if now_ns - self._armed_ns < _ARMED_PATIENCE_NS:
+        if not self._any_armed(True, now_ns, _ARMED_PATIENCE_NS):
             state.waiting.append(f"{name}: is armed; whether it is in the air is being found out")
         elif landed == LANDED_ON_GROUND:
             state.fatal.append(f"{name}: is armed already; disarm it before the mission")
@@ -250,9 +261,9 @@ class Preflight:
         commands = self._station.commands
         if commands.unanswered[vehicle] < _UNANSWERED:
             return None
-        if not commands.pending(vehicle) and now_ns - self._probed_ns[vehicle] >= _PROBE_AGAIN_NS:
+        if not commands.pending(vehicle) and self._probing.due(vehicle, now_ns):
             # Any answer will do, a refusal too; otherwise one that hears again might never be asked again.
-            self._probed_ns[vehicle] = now_ns
+            self._probing.asked(vehicle, now_ns)
             commands.request(vehicle, self._plan.autopilots[vehicle].once("AUTOPILOT_VERSION"))
         if self._station.fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
             return None  # it does not talk either
@@ -297,29 +308,23 @@ class Preflight:
             self._leave_the_last_flight(vehicle, now_ns)
             self._ask_for_reason(vehicle, now_ns)
             return f"not ready to arm{self._reason(vehicle, now_ns, said.get(vehicle))}"
-        self._reasons.unready_ns[vehicle] = NEVER
+        self._reasons.unready.forget(vehicle)
         if fleet.landed_state[vehicle] != LANDED_ON_GROUND:
             return f"does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
         return None
 
     def _ask_for_reason(self, vehicle: int, now_ns: int) -> None:
         """Has a vehicle that cannot be armed say why, now and then: most say it once, or never unasked."""
-        if self._reasons.unready_ns[vehicle] == NEVER:
-            self._reasons.unready_ns[vehicle] = now_ns
-        soon = now_ns - self._reasons.unready_ns[vehicle] < _REASON_FIRST_NS
-        again = now_ns - self._reasons.asked_ns[vehicle] < _REASON_AGAIN_NS
-        if soon or again or self._station.commands.pending(vehicle):
+        if not self._reasons.due(vehicle, now_ns) or self._station.commands.pending(vehicle):
             return
-        self._reasons.asked_ns[vehicle] = now_ns
-        self._reasons.asks[vehicle] += 1
+        self._reasons.asked(vehicle, now_ns)
         self._station.commands.request(vehicle, self._plan.autopilots[vehicle].run_prearm_checks())
 
     def _reason(self, vehicle: int, now_ns: int, words: str | None) -> str:
         """Why a vehicle cannot be armed, in its own words; the end of a sentence."""
         if words:
             return f": {words}; its own checks have to pass"
-        asked = int(self._reasons.asks[vehicle])
-        if not asked or (asked == 1 and now_ns - self._reasons.asked_ns[vehicle] < _REASON_PATIENCE_NS):
+        if self._reasons.may_answer(vehicle, now_ns):
             return ", and has not said why yet; its own checks have to pass"
         return (
             ", and gives no reason (it was asked); see what QGroundControl or Mission Planner show of its checks, or"
@@ -336,9 +341,8 @@ class Preflight:
 
     def _clock(self, vehicle: int, now_ns: int, state: GroundState) -> str | None:
         clocks = self._station.fleet.clocks
-        if self._heard_ns[vehicle] == NEVER:
-            self._heard_ns[vehicle] = now_ns
-        if clocks.samples[vehicle] < _SYNC_SAMPLES and now_ns - self._heard_ns[vehicle] < _SYNC_PATIENCE_NS:
+        self._heard_of.note(vehicle, now_ns)
+        if clocks.samples[vehicle] < _SYNC_SAMPLES and self._heard_of.began(vehicle, now_ns, _SYNC_PATIENCE_NS):
             return "clock asked for, not answered yet"
         if not clocks.known[vehicle]:
             state.notes.append(

@@ -28,7 +28,7 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
-from groundstation.mission.timing import SECOND_NS, AskAgain, Held
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held, Since
 
 LISTEN_NS = 5 * SECOND_NS
 """Time to hear everybody's heartbeat, whatever the links lose."""
@@ -94,7 +94,7 @@ class TakeOver:
         self.yaw_ned_rad: FloatArray = np.zeros(n)
         self._plan, self._station, self._frame, self._preflight = plan, station, frame, preflight
         self._start_ns = start_ns
-        self._taken_ns = np.full(n, NEVER, dtype=np.int64)
+        self._taken = Since(n)
         self._held = [Held() for _ in range(n)]
         self._mode_asking = AskAgain(n, _ASK_AGAIN_NS)
         self._streams_asking = AskAgain(n, _STREAMS_AGAIN_NS)
@@ -212,15 +212,15 @@ class TakeOver:
             if now_ns - fleet.attitude_ns[vehicle] > self._plan.spec.limits.pose_age_s * SECOND_NS:
                 return "no attitude yet"
             self._roster.take(vehicle)
-            self._taken_ns[vehicle] = now_ns
+            self._taken.again(vehicle, now_ns)
             self._held[vehicle].forget()
             self.yaw_ned_rad[vehicle] = frames.yaw_ned_from_quat(fleet.quat_ned_from_frd)[vehicle]
         mode = int(fleet.custom_mode[vehicle])
         streaming = autopilot.is_streaming_mode(mode)
         held = self._held[vehicle](streaming, now_ns, _STEADY_NS)
         if streaming:
-            return None if held and now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS else "is coming to a stand"
-        if now_ns - self._taken_ns[vehicle] >= _STREAM_FIRST_NS and self._mode_asking.due(vehicle, now_ns):
+            return None if held and self._taken.held(vehicle, now_ns, _STREAM_FIRST_NS) else "is coming to a stand"
+        if self._taken.held(vehicle, now_ns, _STREAM_FIRST_NS) and self._mode_asking.due(vehicle, now_ns):
             self._mode_asking.asked(vehicle, now_ns)
             commands.request(vehicle, autopilot.streaming_mode())
         return f"in mode {autopilot.mode_name(mode)}, asked for {autopilot.streaming_mode().name}"
@@ -231,7 +231,7 @@ class TakeOver:
         if not self._frame.known(vehicle):
             return "its place in the team frame is not known: no origin, or no home on earth"
         if np.isnan(off_m):
-            if plan.uses_gps(vehicle) or now_ns - int(self._taken_ns[vehicle]) < _HOME_PATIENCE_NS:
+            if plan.uses_gps(vehicle) or self._taken.began(vehicle, now_ns, _HOME_PATIENCE_NS):
                 return "has not told where it took off (HOME_POSITION)"
             state.notes.append(
                 f"{name}: does not tell where it took off; that its frame begins where the mission says is taken on"

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import NEVER, Fleet
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mavlink.vehicle import Fleet
+from groundstation.mission.timing import SECOND_NS, HeldEach
 
 
 class Reaction(Enum):
@@ -141,7 +141,7 @@ class Lasting:
 
     def __init__(self, n: int, for_s: float = 0.0, *, again: bool = False) -> None:
         self._for_ns, self._again = round(for_s * SECOND_NS), again
-        self._since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._held = HeldEach(n)
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self._any_since = False
 
@@ -149,10 +149,10 @@ class Lasting:
         """Takes the condition of this tick, shape (n,); returns the rows that are to be told now."""
         if not (condition.any() or self._any_since):
             return []
-        self._since_ns = np.where(condition, np.where(self._since_ns == NEVER, now_ns, self._since_ns), NEVER)
+        held = self._held(condition, now_ns, self._for_ns)
         self._any_since = bool(condition.any())
         if self._again:
             self._told &= condition
-        news = condition & (now_ns - self._since_ns >= self._for_ns) & ~self._told
+        news = held & ~self._told
         self._told |= news
         return [int(row) for row in np.flatnonzero(news)]

@@ -16,7 +16,7 @@ from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SECOND_NS, HeldEach
 
 _FORGETS_S = 3.0
 _SUSPECT_S = 0.3
@@ -46,7 +46,8 @@ class PoseJump:
         self._vel: FloatArray = np.zeros((n, 3))
         self._at_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._pose_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
-        self._since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._away = HeldEach(n)
+        self._lasts: BoolArray = np.zeros(n, dtype=np.bool_)
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self.suspect: BoolArray = np.zeros(n, dtype=np.bool_)
         self._away_m: FloatArray = np.zeros(n)
@@ -66,7 +67,7 @@ class PoseJump:
         kick_m_s = np.linalg.norm(poses.vel_ned_m_s - self._vel, axis=1)
         passed_s = passed_s[:, 0]
         away |= ~(kick_m_s * passed_s <= 0.5 * self._limit_m + _KICK * self._accel_m_s2 * passed_s**2)
-        self._since_ns = np.where(away & ~self.suspect, now_ns, self._since_ns)
+        self._lasts = self._away(away, now_ns, round(_SUSPECT_S * SECOND_NS))
         self.suspect = away | self._told
         self._pose_ns = pose_ns
         believed = ~self.suspect
@@ -87,8 +88,7 @@ class PoseJump:
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of those whose reports have not come back."""
-        lasts = self.suspect & (sight.now_ns - self._since_ns >= _SUSPECT_S * SECOND_NS) & ~self._told
-        for vehicle in np.flatnonzero(lasts & ours & ~sight.excused).tolist():
+        for vehicle in np.flatnonzero(self._lasts & ~self._told & ours & ~sight.excused).tolist():
             self._told[vehicle] = True
             away_m = self._away_m[vehicle]
             what = f"its position is {away_m:.2f} m from where its velocity leads, limit {self._limit_m:.2g} m"
