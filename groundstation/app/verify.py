@@ -17,6 +17,7 @@ from groundstation.app.opening import open_flight
 from groundstation.app.session import Session
 from groundstation.core.errors import CheckFailed, UserError
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, flagged, message_id
+from groundstation.mission.plan.own_code import CodeSource
 from groundstation.mission.plan.reading import plan_from_record
 from groundstation.mission.purpose import Purpose
 from groundstation.records.manifest import manifest_beside
@@ -47,11 +48,12 @@ class VerifyResult:
     complete: bool = True
 
 
-def verify_log(path: Path) -> VerifyResult:
+def verify_log(path: Path, code: CodeSource | None = None) -> VerifyResult:
     """Replays a log through a new runner.
 
     Args:
         path: a log that this program recorded, with its manifest beside it.
+        code: where a law or avoidance that is not ours is looked for.
 
     Returns:
         The comparison; ``mismatches`` is 0 when the flight is reproduced.
@@ -66,7 +68,7 @@ def verify_log(path: Path) -> VerifyResult:
             f"{path}: no manifest with a mission and gains beside it; only logs of `gs fly` can be verified,"
             " keep the .manifest.json together with the .tlog"
         )
-    plan = plan_from_record(manifest.mission, manifest.gains_npz, f"manifest of {path}")
+    plan = plan_from_record(manifest.mission, manifest.gains_npz, f"manifest of {path}", code)
     reader = read_tlog(path, manifest.epoch_unix_us)
     result = VerifyResult()
     purpose = Purpose.TAKE_OVER if manifest.take_over else Purpose.FLY

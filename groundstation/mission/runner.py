@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from groundstation.core.law import OwnCodeError
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.codec import Piece
@@ -227,6 +228,8 @@ class Runner(Told):
         """
         self._faults += 1
         text = f"fault in the ground station, {type(error).__name__}: {error}"
+        if isinstance(error, OwnCodeError):  # a law of the mission's own is no part of the ground station
+            text = str(error)
         if self._faults <= _FAULTS_NOTED:
             self._team.verdict.note("alarm", text)
         left = "; everybody is left to its own failsafe" if self.phase is Phase.TAKEOVER else ""

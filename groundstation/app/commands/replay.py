@@ -22,11 +22,16 @@ def replay(
         str | None, typer.Option("--to", help="Send what the vehicles told to another program: udpout://HOST:PORT.")
     ] = None,
     speed: Annotated[float, typer.Option(help="Pace of --to against the recorded one.")] = 1.0,
+    laws: Annotated[
+        list[Path] | None,
+        typer.Option("--laws", help="Folder with the law that was flown, for --verify; may be repeated."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Reads a log back."""
     from groundstation.app.replaying import figures_table, nothing_in, parse_target, send_log
     from groundstation.app.verify import verify_log
+    from groundstation.mission.plan.own_code import CodeSource
     from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
@@ -43,7 +48,7 @@ def replay(
     }
     mismatches = 0
     if verify:
-        result = verify_log(log)
+        result = verify_log(log, CodeSource(tuple(laws or ())))
         mismatches = result.mismatches
         values |= {
             "ticks": result.ticks,

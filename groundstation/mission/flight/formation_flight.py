@@ -240,6 +240,8 @@ class FormationFlight:
             present=tick.present,
         )
         guidance = self._helm.formation(poses, self._sized_task(self._task), course)
+        for words in self._helm.guide.take_words():
+            self._now.tell(words)
         doing.left_room(guidance.room)
         if forming:
             self._get_out(guidance.sensed, absent | ~members, course)

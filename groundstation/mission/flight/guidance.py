@@ -6,6 +6,7 @@ agent's own view. Keeps nothing: what was told last, from which the slope is lim
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -13,17 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.core import frames
-from groundstation.core.avoidance import avoid
+from groundstation.core.avoidance import Avoided, avoid
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
 from groundstation.core.gridlock import Sensed
+from groundstation.core.law import OwnAvoidance, OwnLaw, seen_by
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
 from groundstation.core.motion import Motion
 from groundstation.core.near import near_views
 from groundstation.core.places import Places, own_places
+from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.plan.stages import Stage
@@ -111,6 +115,16 @@ class Guide:
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
         floor_enu = np.array([*spec.fence.min_m[:2], max(plan.min_altitude_m, spec.fence.min_m[2])])
         self._formation_box = Fence.from_enu(floor_enu, np.array(spec.fence.max_m))
+        own, ids = plan.own_code, [vehicle.id for vehicle in spec.vehicles]
+        # In the steps of a formation alone: takeoff, hold, return and landing are never left to them.
+        self._own_law = OwnLaw(f"law {own[LAW].use}", own[LAW].make(), ids) if LAW in own else None
+        self._own_avoidance = (
+            OwnAvoidance(f"avoidance {own[AVOIDANCE].use}", own[AVOIDANCE].make(), ids) if AVOIDANCE in own else None
+        )
+
+    def take_words(self) -> list[str]:
+        """What people should know of a law of one's own, each thing once."""
+        return [] if self._own_law is None else self._own_law.take_words()
 
     @property
     def keep_out_m(self) -> float:
@@ -133,21 +147,14 @@ class Guide:
             views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
         else:
             views = self._views(poses, task.neighbours)
-        stage, motion = course.stage, course.motion
+        motion = course.motion
         seen, common_enu = views, None
         if motion is not None:
             places = self._places(poses, views, course)
             common_enu = motion.rigid(places.from_centre_m)
             if course.present is not None:
                 seen = self._without(poses, views, course.present)
-        wish = formation_control(
-            seen,
-            task,
-            stage.scale,
-            course.control_gain,
-            lead_s=self._plan.lead_s,
-            upright_1_s=stage.upright_1_s,
-        )
+        wish = self._law(seen, task, course)
         if motion is not None:
             grown = motion.growth_1_s * places.from_centre_m
             wish = wish + _flu_from_enu(poses, grown)
@@ -163,7 +170,27 @@ class Guide:
             who=who,
             detour_enu_m_s=course.detour_enu_m_s,
             common_enu_m_s=common_enu,
+            own_avoidance=self._own_avoidance,
         )
+
+    def _law(self, views: LocalViews, task: Task, course: Course) -> FloatArray:
+        """What the law wishes: (14), or one of the mission's own in its place; shape (n, 3), body FLU."""
+        stage, lead_s = course.stage, self._plan.lead_s
+        if self._own_law is None:
+            return formation_control(
+                views, task, stage.scale, course.control_gain, lead_s=lead_s, upright_1_s=stage.upright_1_s
+            )
+        seen = seen_by(
+            views,
+            task,
+            stage.scale,
+            course.control_gain,
+            lead_s=lead_s,
+            upright_1_s=stage.upright_1_s,
+            speed_limit_m_s=self._plan.spec.speed_limit_m_s,
+            period_s=self._period_s,
+        )
+        return self._own_law(seen)
 
     def _places(self, poses: Poses, views: LocalViews, course: Course) -> Places:
         """What each agent makes of its view, in its own level axes."""
@@ -291,7 +318,9 @@ class Guide:
         who: IntArray | None = None,
         detour_enu_m_s: FloatArray | None = None,
         common_enu_m_s: FloatArray | None = None,
+        own_avoidance: OwnAvoidance | None = None,
     ) -> Setpoints:
+        turn: Callable[[LocalViews, FloatArray, SafetyRegion], Avoided] = own_avoidance or avoid
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = poses.rot_ned_from_flu
         # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.
@@ -303,7 +332,7 @@ class Guide:
             wish_flu_m_s = np.where(np.isfinite(detour_flu_m_s), detour_flu_m_s, wish_flu_m_s)
         common_flu, room = None, 1.0
         if common_enu_m_s is None:
-            avoided = avoid(views, wish_flu_m_s, self._region)
+            avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = avoided.vel_flu_m_s
         else:
             room = _room(frames.ned_from_enu(common_enu_m_s), low_m_s, high_m_s)
@@ -312,7 +341,7 @@ class Guide:
             left = np.maximum(speed_max - np.linalg.norm(common_flu, axis=1), 0.1 * speed_max)
             size = np.linalg.norm(wish_flu_m_s, axis=1)
             wish_flu_m_s = wish_flu_m_s * np.minimum(1.0, left / np.maximum(size, 1e-12))[:, None]
-            avoided = avoid(views, wish_flu_m_s, self._region)
+            avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)
         normals_flu, bounds_m_s = walls(rot_ned_from_flu, low_m_s, high_m_s)
         damped = damp(views, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)

@@ -17,6 +17,7 @@ from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.limits import resolve_limits
 from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links
+from groundstation.mission.plan.own_code import AVOIDANCE, LAW, CodeSource
 from groundstation.mission.plan.plan import MissionPlan, region_of
 from groundstation.mission.plan.positioning import (
     POSITION_ERROR_M,
@@ -31,7 +32,13 @@ from groundstation.mission.plan.stages import Shape, check_clearance, check_shap
 from groundstation.mission.plan.wind import check_wind, gust_margin_m, room_for_wind, wind_limit
 
 
-def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int, Shape] | None = None) -> MissionPlan:
+def build_plan(
+    spec: MissionSpec,
+    first: Shape,
+    source: str,
+    others: Mapping[int, Shape] | None = None,
+    code: CodeSource | None = None,
+) -> MissionPlan:
     """Puts a plan together from values that are valid each for itself, and judges them together.
 
     Args:
@@ -39,6 +46,7 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
         first: the formation at its top.
         source: the file's name, for messages.
         others: formations of ``form`` steps that name their own, by number of the step.
+        code: where laws and avoidance that are not ours are looked for; what is installed only when None.
 
     Raises:
         UserError: they do not fit each other.
@@ -135,6 +143,11 @@ def build_plan(spec: MissionSpec, first: Shape, source: str, others: Mapping[int
         min_altitude_m=_floor(spec),
         acceleration_limit_m_s2=acceleration_limit_m_s2,
         limits=resolve_limits(spec, margin_m=margin_m(position_error_m), positioning=positioning),
+        own_code={
+            key: (code or CodeSource()).find(key, named.use, named.options, source)
+            for key, named in ((LAW, spec.law), (AVOIDANCE, spec.avoidance.law))
+            if named is not None
+        },
     )
 
 

@@ -6,7 +6,8 @@ Positions in the file are ENU in one team frame; the plan keeps them so, and the
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from groundstation.core.formation import Formation
@@ -15,6 +16,7 @@ from groundstation.core.types import FloatArray
 from groundstation.mavlink.autopilots import Autopilot
 from groundstation.mission.plan.limits import Limits
 from groundstation.mission.plan.links import LinkPlan
+from groundstation.mission.plan.own_code import OwnCode
 from groundstation.mission.plan.positioning import (
     all_offsets,
 )
@@ -46,6 +48,7 @@ class MissionPlan(LinkPlan, FormationPlan):
         min_altitude_m: nobody who flies the formation goes below, above the team frame's ground.
         acceleration_limit_m_s2: how fast commanded velocities may change.
         limits: resolved.
+        own_code: laws and avoidance that are not ours, by the mission's key.
     """
 
     source: str
@@ -61,6 +64,7 @@ class MissionPlan(LinkPlan, FormationPlan):
     min_altitude_m: float
     acceleration_limit_m_s2: float
     limits: Limits
+    own_code: Mapping[str, OwnCode] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -106,7 +110,9 @@ class MissionPlan(LinkPlan, FormationPlan):
             form["formation"] = shape.formation.name
             encoded = base64.b64encode(shape.gains_npz).decode()
             shapes.append({"step": number, "formation": _plain(shape.formation), "gains_npz_base64": encoded})
-        return {**values, "formation": _plain(self.formation), **({"shapes": shapes} if shapes else {})}
+        code = {key: item.record() for key, item in self.own_code.items()}
+        beside = {**({"shapes": shapes} if shapes else {}), **({"own_code": code} if code else {})}
+        return {**values, "formation": _plain(self.formation), **beside}
 
 
 def region_of(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:

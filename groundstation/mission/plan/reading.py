@@ -24,6 +24,8 @@ from groundstation.design.store import (
 )
 from groundstation.mission.plan.judging import build_plan, check_acceleration, check_room_for_wind
 from groundstation.mission.plan.overrides import override_value
+from groundstation.mission.plan.own_code import CodeSource
+from groundstation.mission.plan.own_trial import check_own_code
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import FormStep, MissionSpec
 from groundstation.mission.plan.stages import Shape
@@ -41,12 +43,16 @@ def read_spec(path: Path, overrides: Sequence[str] = ()) -> MissionSpec:
     return validate(MissionSpec, values, str(path))
 
 
-def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
+def load_mission(path: Path, overrides: Sequence[str] = (), code: CodeSource | None = None) -> MissionPlan:
     """Reads a mission file, its formations and their gains; designs the gains where the file names none.
+
+    A law or avoidance of one's own is looked for beside the mission file, then in the current folder, then among what
+    is installed.
 
     Args:
         path: mission file.
         overrides: ``key.path=value``, the value in YAML, list items by number from 0.
+        code: where else code of one's own is looked for.
 
     Raises:
         UserError: anything wrong, with file, key, value, limit and remedy.
@@ -62,7 +68,8 @@ def load_mission(path: Path, overrides: Sequence[str] = ()) -> MissionPlan:
             gains = form.gains if form.formation is not None or form.gains is not None else spec.gains
             size = form.formation_scale if form.formation is not None or form.formation_scale else spec.formation_scale
             others[number] = shapes.read(form.formation or spec.formation, gains, size, f"steps[{number}].form.")
-    plan = build_plan(spec, first, str(path), others)
+    plan = build_plan(spec, first, str(path), others, code or CodeSource((path.parent, Path())))
+    check_own_code(plan)
     check_acceleration(plan)
     check_room_for_wind(plan)
     return plan
@@ -104,8 +111,16 @@ class _Shapes:
             return Shape(formation, result.gains, file.read_bytes())
 
 
-def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) -> MissionPlan:
+def plan_from_record(
+    mission: Mapping[str, Any], gains_npz: bytes, source: str, code: CodeSource | None = None
+) -> MissionPlan:
     """Puts a plan together from what ``MissionPlan.record`` gave and the gains file's bytes.
+
+    Args:
+        mission: the record.
+        gains_npz: the gains file.
+        source: for messages.
+        code: where a law or avoidance of one's own is looked for; it has to be what the record tells, byte by byte.
 
     Raises:
         UserError: the record is not one of ours, or what it holds does not fit together.
@@ -115,6 +130,7 @@ def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) 
     if not isinstance(points, Mapping):
         raise UserError(f"{source}: mission.formation: is missing, the manifest is not one of a mission")
     shapes = values.pop("shapes", [])
+    code = replace(code or CodeSource(), flown=values.pop("own_code", {}))
     name = str(points.get("name"))
     spec = validate(MissionSpec, {**values, "formation": name, "gains": None}, f"{source}: mission")
     first = _shape_from_record(
@@ -132,7 +148,7 @@ def plan_from_record(mission: Mapping[str, Any], gains_npz: bytes, source: str) 
     wanted = {number for number, step in enumerate(spec.steps) if isinstance(step, FormStep) and step.own_shape}
     if wanted != set(others):
         raise UserError(f"{source}: mission.shapes: are for steps {sorted(others)}, expected {sorted(wanted)}")
-    return build_plan(spec, first, source, others)
+    return build_plan(spec, first, source, others, code)
 
 
 def _shape_from_record(points: Any, gains_npz: bytes, where: str, *, resized: bool) -> Shape:

@@ -50,6 +50,21 @@ class ScaleSpec(_Strict):
     gain: Annotated[Number, Field(gt=0, le=100)] = 2.5
 
 
+def _by_name(value: Any) -> Any:
+    """A name alone stands for code without options."""
+    return {"use": value} if isinstance(value, str) else value
+
+
+class OwnCodeSpec(_Strict):
+    """Code of one's own: ``module:name`` or the name of an entry point, and what its constructor is given."""
+
+    use: Annotated[str, Field(min_length=1, max_length=200)]
+    options: dict[str, Any] = {}
+
+
+OwnCodeName = Annotated[OwnCodeSpec, BeforeValidator(_by_name, json_schema_input_type=str | OwnCodeSpec)]
+
+
 class AvoidanceSpec(_Strict):
     """Safety radius r and activation distance d of Algorithm 2, and what stands above and below where it is no ball."""
 
@@ -57,6 +72,7 @@ class AvoidanceSpec(_Strict):
     activation_m: Positive
     shape: Literal["sphere", "cylinder", "ellipsoid"] = "sphere"
     half_height_m: Positive | None = None
+    law: OwnCodeName | None = None
 
     @model_validator(mode="after")
     def _spheres_have_none(self) -> AvoidanceSpec:
@@ -302,6 +318,7 @@ class _FormationKeys(_Strict):
     formation: str
     formation_scale: Positive | None = None
     gains: str | None = None
+    law: OwnCodeName | None = None
     rate_hz: Annotated[Number, Field(ge=10, le=200)] = 50.0
     speed_limit_m_s: Annotated[Number, Field(ge=0.05, le=20)] = 0.5
     acceleration_limit_m_s2: Annotated[Number, Field(ge=0.1, le=20)] | None = None
