@@ -17,6 +17,7 @@ from rich.text import Text
 
 from groundstation.app.emulator import TruthMeter, served_world, world_config
 from groundstation.app.keyboard import Keyboard
+from groundstation.app.law_watch import LawWatch
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
 from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.order_client import runtime_folder
@@ -193,7 +194,8 @@ def fly_vehicles(
         meter, emulated = None, emulated_seed is not None
         if emulated_seed is not None:
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
-        disk = Disk()
+        disk, laws = Disk(), LawWatch(plan)
+        plan = laws.plan
         recorded = LogPlan(log_path, versions(), emulated_seed, replace=emulated, through=disk.through)
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
@@ -203,6 +205,7 @@ def fly_vehicles(
         interrupts = Interrupts()
         with ExitStack() as at_the_desk:
             at_the_desk.enter_context(interrupts.listening())
+            at_the_desk.enter_context(laws.listening())
             controls, prompt = _controls(at_the_desk, session, log_path)
             display = at_the_desk.enter_context(FlightDisplay(out.console, plan, links, prompt))
             fly_real(
@@ -210,7 +213,7 @@ def fly_vehicles(
                 links,
                 flight.clock or FlightClock(),
                 period_ns=period_ns(plan),
-                watchers=(display, disk, *(() if meter is None else (meter,))),
+                watchers=(display, disk, laws, *(() if meter is None else (meter,))),
                 interrupts=interrupts,
                 controls=controls,
             )

@@ -25,6 +25,7 @@ from groundstation.core.files import read_yaml
 from groundstation.core.types import FloatArray
 from groundstation.design.store import load_formation
 from groundstation.mission.plan.overrides import override_value
+from groundstation.mission.plan.own_code import CodeSource
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission, plan_from_record
 
@@ -49,6 +50,7 @@ class Case:
         victim: index of the vehicle that a fault strikes.
         delay_s: how long after the phase was entered it strikes.
         events: what an adversary does.
+        code: where a law of the mission's own is found; the one thing that is not in the case itself.
         unread: why the mission could not be read, by a fault of ours; "" as a rule.
     """
 
@@ -63,6 +65,7 @@ class Case:
     delay_s: float
     events: tuple[Event, ...] = ()
     unread: str = ""
+    code: CodeSource | None = None
 
     def plan(self) -> MissionPlan:
         """Puts the mission together.
@@ -73,7 +76,7 @@ class Case:
         """
         if self.unread:
             raise RuntimeError(self.unread)
-        return plan_from_record(self.mission, self.gains_npz, f"run {self.run}")
+        return plan_from_record(self.mission, self.gains_npz, f"run {self.run}", self.code)
 
 
 class Cases:
@@ -118,6 +121,7 @@ class Cases:
             setting=setting,
             victim=int(faults.integers(team.plan.size)),
             delay_s=round(float(faults.random()) * setting.faults.within_s, 3),
+            code=CodeSource((self._mission.resolve().parent, Path.cwd())),
         )
 
     def _against(self, spec: AdversarySpec, run: int, cell: Cell, setting: Setting, *, seed: int) -> Case:

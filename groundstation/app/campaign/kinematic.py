@@ -49,7 +49,7 @@ def kinematic_plan(case: Case) -> MissionPlan:
         "position_error_m": _PROFILE["position_error_m"],
         "vehicles": [{**vehicle, "profile": _NAME} for vehicle in values["vehicles"]],
     }
-    return plan_from_record(values, case.gains_npz, f"run {case.run}, kinematic")
+    return plan_from_record(values, case.gains_npz, f"run {case.run}, kinematic", case.code)
 
 
 def kinematic_time_to_form_s(case: Case) -> float:

@@ -1,4 +1,4 @@
-"""``gs new formation``: a formation file with a proposed sensing graph, from a shape's name or from points."""
+"""``gs new``: a formation file with a proposed sensing graph, from a shape's name or from points; or a law."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ _COMPLETE = "complete"
 
 
 def new(
-    what: Annotated[str, typer.Argument(help="formation")],
-    shape: Annotated[str, typer.Argument(help="ring, line, v, grid, cube, sphere, or a CSV file of x,y,z in metres.")],
+    what: Annotated[str, typer.Argument(help="formation or law.")],
+    shape: Annotated[
+        str,
+        typer.Argument(help="ring, line, v, grid, cube, sphere, or a CSV file of x,y,z in metres; a law's name."),
+    ],
     *,
     agents: Annotated[int | None, typer.Option("--agents", "-n", help="How many; of a CSV file, as it has.")] = None,
     spacing_m: Annotated[
@@ -32,7 +35,12 @@ def new(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Makes a formation file: gs new formation ring --agents 12."""
+    """Makes a formation file: gs new formation ring --agents 12. Or a law of your own: gs new law my_law."""
+    if what == "law":
+        from groundstation.app.law_file import new_law
+
+        new_law(shape, output, Output(as_json=as_json))
+        return
     from groundstation.app.formation_text import formation_text
     from groundstation.app.point_files import read_points, scale_to, write_new
     from groundstation.core.formation import Formation
@@ -43,7 +51,7 @@ def new(
     kinds: dict[str, Kind] = {"sparse": "sparse", "balanced": "balanced", "robust": "robust"}
     out = Output(as_json=as_json)
     if what != "formation":
-        raise UserError(f"gs new {what}: can make a formation; write gs new formation {shape}")
+        raise UserError(f"gs new {what}: can make a formation or a law; write gs new formation {shape}")
     if graph != _COMPLETE and graph not in SHARE:
         raise UserError(f"--graph {graph}: unknown; known are {_COMPLETE}, {', '.join(SHARE)}")
     if spacing_m is not None and not 0.0 < spacing_m <= 1e4:
