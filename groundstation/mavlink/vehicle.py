@@ -117,7 +117,7 @@ class Fleet:
             says that it is in the air: autopilots stand on the ground by their own report as soon as they disarm.
         disarm_doubted: such a heartbeat was the last one, shape (n,).
         disarm_expected: its motors were told to stop: then that word is believed, whatever else it says, shape (n,).
-        ground_doubted: reports to stand on the ground and is seen above it, shape (n,); whoever sees that writes it.
+        ground_doubted: reports to stand on the ground and is seen above it, shape (n,); whoever sees that tells it.
         system_status: MAV_STATE, UNKNOWN before, shape (n,).
         pos_local_ned_m: newest valid LOCAL_POSITION_NED, in each vehicle's own origin, NaN before, shape (n, 3).
         vel_ned_m_s: velocity of the same message, shape (n, 3).
@@ -222,6 +222,14 @@ class Fleet:
     def __len__(self) -> int:
         """Number of vehicles, n."""
         return len(self.sysid)
+
+    def expect_disarm(self, vehicle: int) -> None:
+        """Its motors are told to stop: a heartbeat that says disarmed is believed, whatever else the vehicle says."""
+        self.disarm_expected[vehicle] = True
+
+    def doubt_the_ground(self, rows: BoolArray) -> None:
+        """These are seen above the ground, shape (n,), whatever they report; of the others it is believed again."""
+        self.ground_doubted = rows.copy()
 
     def ingest(self, received: Sequence[ReceivedFrame]) -> None:
         """Takes frames in the order of their arrival.

@@ -58,7 +58,7 @@ class Lookout:
             going_on=self._machine.going_on,
         )
         findings = board.look(sight)
-        fleet.ground_doubted = board.flies
+        fleet.doubt_the_ground(board.flies)
         self._act(findings, poses, now_ns)
         board.wind.enter(team.figures)
         poses = board.obstacles(poses, fleet, pose_ns, roster, now_ns)
@@ -97,9 +97,8 @@ class Lookout:
         team, figures, region = self._team, self._team.figures, self._team.plan.region
         counted, flying = np.asarray(~team.board.blind, dtype=np.bool_), team.airborne(now_ns)
         distance_m = min_distance_m(poses.pos_team_ned_m, counted, flying=flying)
-        figures.min_distance_m = min(figures.min_distance_m, distance_m)
         if region.by_distance:
-            figures.min_clearance = figures.min_distance_m / region.radius_m
+            clearance = distance_m / region.radius_m
         else:
             clearance = min_clearance(poses.pos_team_ned_m, region, counted, flying=flying)
-            figures.min_clearance = min(figures.min_clearance, clearance)
+        figures.came_near(distance_m, clearance)

@@ -104,10 +104,8 @@ class Runner(Told):
             Datagrams to be sent.
         """
         team, figures = self._team, self._team.figures
-        if self._last_step_ns != NEVER and now_ns - self._last_step_ns >= 2 * self._period_ns:
-            figures.deadline_misses += 1
+        figures.ticked(late=self._last_step_ns != NEVER and now_ns - self._last_step_ns >= 2 * self._period_ns)
         self._last_step_ns = now_ns
-        figures.ticks += 1
         self._guarded(now_ns, team.station.ingest)
         self._guarded(now_ns, partial(self._listen, now_ns))
         poses = self._poses(now_ns)
@@ -116,7 +114,7 @@ class Runner(Told):
         for line in lines:
             self._guarded(now_ns, partial(self._orders.obey, line, poses, now_ns, sightless=sightless))
         if team.stance.flies:
-            figures.flight_time_s = (now_ns - team.stance.takeoff_ns) / SECOND_NS
+            figures.flown((now_ns - team.stance.takeoff_ns) / SECOND_NS)
         flying = self.phase in AIRBORNE_PHASES and team.stance.flies
         if flying and sightless:
             self._wait_for_sight(now_ns)

@@ -18,7 +18,7 @@ class Note:
 
 @dataclass
 class Figures:
-    """What the mission came to, from what the vehicles reported.
+    """What the mission came to, from what the vehicles reported. Entered by its methods alone.
 
     Attributes:
         converged: every form step was reached.
@@ -50,6 +50,49 @@ class Figures:
     flight_time_s: float = np.nan
     ticks: int = 0
     deadline_misses: int = 0
+
+    def ticked(self, *, late: bool) -> None:
+        """Another tick; ``late``: it came more than a whole period late."""
+        self.ticks += 1
+        self.deadline_misses += late
+
+    def flown(self, seconds: float) -> None:
+        """So long after takeoff the team still flies."""
+        self.flight_time_s = seconds
+
+    def came_near(self, distance_m: float, clearance: float) -> None:
+        """Two came as near to each other as this."""
+        self.min_distance_m = min(self.min_distance_m, distance_m)
+        self.min_clearance = min(self.min_clearance, clearance)
+
+    def formed(self, took_s: float, *, last: bool) -> None:
+        """A formation stands; the first time counts, and ``last`` says that no other is to follow."""
+        if np.isnan(self.time_to_form_s):
+            self.time_to_form_s = took_s
+        self.converged = last
+
+    def lost(self) -> None:
+        """A formation that stood is lost."""
+        self.converged = False
+
+    def held_within(self, error_m: float) -> None:
+        """While a formation was held it was off by this."""
+        self.formation_error_m = float(np.fmax(self.formation_error_m, error_m))
+
+    def moved_within(self, error_m: float) -> None:
+        """While it moved it was off by this."""
+        self.move_error_m = float(np.fmax(self.move_error_m, error_m))
+
+    def locked_in(self, *, gridlocks: int = 0, swaps: int = 0, detours: int = 0) -> None:
+        """So many more were locked in, exchanged their roles, or went round others."""
+        self.gridlocks += gridlocks
+        self.role_swaps += swaps
+        self.detours += detours
+
+    def felt(self, mean_m_s: float, gust_m_s: float) -> None:
+        """A wind as strong as this, and gusts."""
+        self.wind_mean_m_s = float(np.fmax(self.wind_mean_m_s, mean_m_s))
+        self.wind_gust_m_s = float(np.fmax(self.wind_gust_m_s, gust_m_s))
 
 
 class Verdict:

@@ -159,3 +159,82 @@ def test_nobody_asks_a_safety_region_for_its_kind(tmp_path: Path) -> None:
     sly = tmp_path / "sly.py"
     sly.write_text("if isinstance(region, (int, SafetySphere)):\n    pass\n")
     assert _asks_for_kind(sly, ("Safety",)) == [1]
+
+
+_GROWS = frozenset({"append", "extend", "insert", "add", "update", "setdefault", "remove", "discard"})
+
+
+def _stored(node: ast.AST) -> Iterator[ast.expr]:
+    """What a statement writes to, tuples taken apart, and what it makes a container of somebody's grow by."""
+    targets: list[ast.expr] = []
+    if isinstance(node, ast.Assign | ast.Delete):
+        targets = list(node.targets)
+    elif isinstance(node, ast.AugAssign | ast.AnnAssign | ast.For):
+        targets = [node.target]
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _GROWS:
+        targets = [node.func.value]
+    while targets:
+        target = targets.pop()
+        if isinstance(target, ast.Tuple | ast.List):
+            targets += target.elts
+        elif isinstance(target, ast.Starred | ast.Subscript):
+            targets.append(target.value)
+        else:
+            yield target
+
+
+def written_elsewhere(tree: ast.Module) -> list[str]:
+    """Fields of other objects that a file writes, unless a class with such a field stands in the same file.
+
+    What belongs to Python itself (``sys.modules``, ``module.__file__``, flags of arrays) is nobody's field.
+    """
+    own = {name for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for name in _fields(node)}
+    modules = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
+    return [
+        f"line {target.lineno}: {ast.unparse(target)}"
+        for node in ast.walk(tree)
+        for target in _stored(node)
+        if isinstance(target, ast.Attribute)
+        and not (isinstance(target.value, ast.Name) and target.value.id == "self")
+        and target.attr not in own
+        and not ast.unparse(target).endswith((".flags.writeable", "__"))
+        and ast.unparse(target.value) not in modules
+    ]
+
+
+def test_nobody_writes_the_fields_of_another_one() -> None:
+    wrong = {
+        str(path.relative_to(MISSION)): found
+        for path in MISSION.rglob("*.py")
+        if (found := written_elsewhere(ast.parse(path.read_text(encoding="utf-8"))))
+    }
+    assert wrong == {}
+
+
+def test_a_field_written_from_outside_is_found() -> None:
+    sly = """
+class Mine:
+    def __init__(self): self.own, self._list = 0, []
+    def fine(self, other): self._list.append(1); other.own = 2
+    def sly(self, other):
+        other.theirs, self.own = 1, 2
+        self.friend.rows[3] += 1
+        other.names.append("x")
+"""
+    found = written_elsewhere(ast.parse(sly))
+    assert [line.split(": ")[1] for line in found] == ["other.theirs", "self.friend.rows", "other.names"]
+
+
+def test_guidance_keeps_no_memory() -> None:
+    """What is told by way of ``self`` stands in the constructor; no other method of the file writes anything there."""
+    tree = ast.parse((MISSION / "flight" / "guidance.py").read_text(encoding="utf-8"))
+    methods = [
+        method
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for method in node.body
+        if isinstance(method, ast.FunctionDef) and method.name != "__init__"
+    ]
+    assert len(methods) > 5
+    written = [ast.unparse(t) for method in methods for node in ast.walk(method) for t in _stored(node)]
+    assert [name for name in written if name.startswith("self.")] == []

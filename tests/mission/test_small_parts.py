@@ -14,7 +14,7 @@ from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty, Roster, enlist
 from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, Since, vehicle_list
-from groundstation.mission.verdict import Note, Verdict
+from groundstation.mission.verdict import Figures, Note, Verdict
 from tests.app.flights import pair
 
 GUIDED = 4
@@ -104,6 +104,30 @@ def test_a_verdict_adds_reasons_once_and_is_completed_only_when_nothing_was_said
     refused.refuse(["a", "b"])
     refused.complete()
     assert (refused.outcome, refused.reason, refused.problems) == ("refused", "a; b", ["a", "b"])
+
+
+def test_figures_keep_the_first_time_the_nearest_and_the_largest() -> None:
+    figures = Figures()
+    for took_s, last in ((7.0, False), (3.0, True)):
+        figures.formed(took_s, last=last)
+    assert (figures.time_to_form_s, figures.converged) == (7.0, True)
+    figures.lost()
+    assert not figures.converged
+    for value in (2.0, 1.0, 3.0, np.nan):
+        if np.isfinite(value):
+            figures.came_near(value, value / 2.0)
+        figures.held_within(value)
+        figures.moved_within(value)
+        figures.felt(value, 2.0 * value)
+    assert (figures.min_distance_m, figures.min_clearance) == (1.0, 0.5)
+    assert (figures.formation_error_m, figures.move_error_m) == (3.0, 3.0)
+    assert (figures.wind_mean_m_s, figures.wind_gust_m_s) == (3.0, 6.0)
+    figures.locked_in(gridlocks=1)
+    figures.locked_in(swaps=2, detours=3)
+    for late in (False, True, False):
+        figures.ticked(late=late)
+    assert (figures.gridlocks, figures.role_swaps, figures.detours) == (1, 2, 3)
+    assert (figures.ticks, figures.deadline_misses) == (3, 1)
 
 
 def test_motors_are_stopped_again_and_again_until_a_newer_heartbeat_shows_it(plan: MissionPlan) -> None:

@@ -86,6 +86,10 @@ class Columns:
         self._pads_above = pads_above(pads_enu_m, distances.beside_m)
         self._pads_apart_m = np.linalg.norm(self.pads_ned_m[:, None, :2] - self.pads_ned_m[None, :, :2], axis=2)
 
+    def content_with_r(self, vehicle: int) -> None:
+        """It has waited so long that it asks for r and nothing more."""
+        self.content[vehicle] = True
+
     def taken(self, vehicle: int, scene: Scene, place_m: FloatArray | None, *, but_higher_ones: bool = False) -> Taken:
         """Places of those who stand, come down, or may: with the distances that a place has to have.
 

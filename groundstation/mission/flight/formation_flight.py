@@ -165,15 +165,15 @@ class FormationFlight:
                 holder = int(np.flatnonzero(roles == free)[0])
                 if gone[holder] and roles[last] > free:
                     roles[holder], roles[last] = roles[last], free
-                    self._now.figures.role_swaps += 1
+                    self._now.figures.locked_in(swaps=1)
         try:
             self._fly_as(roles)
         except ValueError as error:
             return str(error)
         self._now.back_to_form()
-        self._now.figures.converged = False
+        self._now.figures.lost()
         self._gridlocks.forget()
-        self._now.keeper.heading_rad = None
+        self._now.keeper.let_turn()
         self.begin_anew(now_ns)
         return ""
 
@@ -305,7 +305,7 @@ class FormationFlight:
         """
         locks, ids = self._gridlocks, [vehicle.id for vehicle in self._plan.spec.vehicles]
         locks.sense(sensed, absent)
-        self._now.figures.gridlocks += int(locks.begun.sum())
+        self._now.figures.locked_in(gridlocks=int(locks.begun.sum()))
         if not locks.locked.any():
             return
         if isinstance(way, Course):
@@ -321,13 +321,13 @@ class FormationFlight:
                     self._now.note(
                         "info", f"vehicles {ids[i]} and {ids[j]} are in each other's way: they swap roles", ()
                     )
-                self._now.figures.role_swaps += len(pairs)
+                self._now.figures.locked_in(swaps=len(pairs))
                 self._fly_as(roles)
                 return
         else:
             to_goal_enu_m, patience_s, rarer = way, locks.params.home_detour_s, False
         sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s, rarer=rarer)
-        self._now.figures.detours += len(sent)
+        self._now.figures.locked_in(detours=len(sent))
         if sent:
             others = ", ".join(str(ids[k]) for k in sent[1:])
             text = f"vehicle {ids[sent[0]]} is locked in: it goes round the others"

@@ -45,12 +45,16 @@ class PlaceKeeper:
             counts: who flies the formation, and where is known, shape (n,).
             floor_m: least height of the middle that the formation is to have.
         """
-        self.heading_rad = None
+        self.let_turn()
         if self.place_enu_m is None and counts.any():
             self.place_enu_m, self._counted = pos_enu_m[counts].mean(axis=0), counts.copy()
             self._middle_enu_m = self.place_enu_m.copy()
         if self.place_enu_m is not None:
             self.place_enu_m[2] = max(self.place_enu_m[2], floor_m)
+
+    def let_turn(self) -> None:
+        """The heading is free until ``settle``."""
+        self.heading_rad = None
 
     def settle(self, pos_enu_m: FloatArray, counts: BoolArray, points_m: FloatArray) -> None:
         """Takes the heading of now for the one to keep; arguments as for ``motion``."""

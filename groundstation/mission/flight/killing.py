@@ -35,7 +35,7 @@ class Killing:
         self._roster.kill(vehicles, now_ns)
         for vehicle in vehicles:
             self._commands.clear(vehicle)
-            self._fleet.disarm_expected[vehicle] = True
+            self._fleet.expect_disarm(vehicle)
             self._asking.at_once(vehicle)
 
     def step(self, now_ns: int) -> None:

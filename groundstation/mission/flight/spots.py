@@ -217,7 +217,7 @@ class Spots:
 
     def _last_resort(self, vehicle: int, scene: Scene, settled: list[int]) -> FloatArray | None:
         """A place that keeps r and nothing more: where it is, or the one that is farthest from everybody."""
-        self._columns.content[vehicle] = True
+        self._columns.content_with_r(vehicle)
         here_m = scene.pos_ned_m[vehicle, :2]
         taken = self._columns.taken(vehicle, scene, here_m).beside(self._chosen(vehicle, settled, here_m))
         if taken.in_the_way(here_m) is None:

@@ -116,7 +116,7 @@ class StepFlight:
         limit_m = _HOLD_TOLERANCE * tolerance_m + now.sway_m
         if not self._held(not now.error_m <= limit_m, now.now_ns, steady_ns):
             return ""
-        self._flown.figures.converged = False
+        self._flown.figures.lost()
         return (
             f"formation lost while {doing}: {now.off}, limit is"
             f" {_HOLD_TOLERANCE:g} times the tolerance of {now.allowed(tolerance_m)}"
@@ -148,15 +148,13 @@ class Forming(StepFlight):
         within = near and now.upright
         if self._held(within, now.now_ns):
             took_s = (self._held.since_ns - self._since_ns) / SECOND_NS
-            if np.isnan(flown.figures.time_to_form_s):
-                flown.figures.time_to_form_s = took_s
             if now.sway_m:
                 flown.tell(f"formed in gusts: the tolerance was {now.allowed(step.tolerance_m)}")
             if len(flown.plan.stages) > 1:
                 flown.tell(f"formed {flown.stage.formation.name} after {took_s:.2f} s")
             self._tell_size(now.poses)
             later = flown.plan.spec.steps[flown.number + 1 :]
-            flown.figures.converged = not any(isinstance(item, FormStep) for item in later)
+            flown.figures.formed(took_s, last=not any(isinstance(item, FormStep) for item in later))
             return StepTick(done=True)
         if not within and now.now_ns - self._since_ns >= step.timeout_s * SECOND_NS:
             whys = [] if now.upright else ["the team stands upside down (set upright_1_s or takeoff.stagger_m)"]
@@ -176,8 +174,7 @@ class Holding(StepFlight):
 
     def tick(self, now: Now) -> StepTick:
         """Looks whether it holds."""
-        figures = self._flown.figures
-        figures.formation_error_m = float(np.fmax(figures.formation_error_m, now.error_m))
+        self._flown.figures.held_within(now.error_m)
         lost = self._lost("holding", now)
         if lost:
             return StepTick(give_up=lost)
@@ -217,7 +214,7 @@ class Moving(StepFlight):
             if outside:
                 self._last_ns = now.now_ns
                 return StepTick(give_up=outside)
-        flown.figures.move_error_m = float(np.fmax(flown.figures.move_error_m, now.error_m))
+        flown.figures.moved_within(now.error_m)
         self._run_clock(now)
         lost = self._lost("moving", now, 3 * SECOND_NS)
         if lost:
@@ -271,7 +268,7 @@ class Moving(StepFlight):
         if flown.stage.scale.kind == "free" and move.scale != 1.0:
             why = missed(self._sizes(now.poses), self._stood_at, move.scale, flown.stage, flown.keep_out_m)
             if why:
-                flown.figures.converged = False
+                flown.figures.lost()
                 return StepTick(give_up=why)
         return StepTick(done=True)
 

@@ -142,12 +142,7 @@ class Board:
             self.blind[rows] = True
         if known and (finding.lost or reaction is Reaction.HOME):
             reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
-        if reaction is Reaction.LAND:
-            findings.land += rows
-        elif reaction is Reaction.RELEASE:
-            findings.release += rows
-        elif reaction is Reaction.HOME:
-            findings.home += rows
+        findings.concern(rows, reaction)
         return reaction
 
     def _tell(self, finding: Finding, reaction: Reaction, findings: Findings, sight: Sight, *, others: bool) -> None:
@@ -156,19 +151,7 @@ class Board:
         subject = f"vehicle {sight.fleet.sysid[rows[0]]}" if len(rows) == 1 else ""
         consequence = _consequence(reaction, several=len(rows) > 1, going_on=sight.going_on, others=others)
         text = (f"{subject}: " if subject else "") + finding.what + (f"; {consequence}" if consequence else "")
-        findings.alarms.append(text)
-        if reaction in (Reaction.SAY, Reaction.HOLD):
-            return
-        if reaction is Reaction.FAILED:
-            findings.failed.append(text)
-            return
-        if reaction is Reaction.SILENCE:
-            findings.silence = text
-        if sight.going_on and reaction in (Reaction.LAND, Reaction.RELEASE, Reaction.HOME):
-            findings.gone.append(text)
-        else:
-            findings.aborts.setdefault(subject or finding.what, text)
-        findings.urgent |= finding.urgent
+        findings.tell(text, subject or finding.what, reaction, going_on=sight.going_on, urgent=finding.urgent)
 
 
 def _consequence(reaction: Reaction, *, several: bool, going_on: bool, others: bool) -> str:

@@ -124,6 +124,39 @@ class Findings:
     urgent: bool = False
     silence: str | None = None
 
+    def concern(self, rows: list[int], reaction: Reaction) -> None:
+        """Takes whom a finding concerns, for what is to be done about them."""
+        if reaction is Reaction.LAND:
+            self.land += rows
+        elif reaction is Reaction.RELEASE:
+            self.release += rows
+        elif reaction is Reaction.HOME:
+            self.home += rows
+
+    def tell(self, text: str, subject: str, reaction: Reaction, *, going_on: bool, urgent: bool) -> None:
+        """Takes the words of a finding: an alarm always, and a reason where something follows.
+
+        Args:
+            text: the words.
+            subject: whom or what it is about; the first reason of each counts.
+            reaction: what is done.
+            going_on: the mission goes on without a vehicle that drops out.
+            urgent: everybody comes back, even from an operator's hold.
+        """
+        self.alarms.append(text)
+        if reaction in (Reaction.SAY, Reaction.HOLD):
+            return
+        if reaction is Reaction.FAILED:
+            self.failed.append(text)
+            return
+        if reaction is Reaction.SILENCE:
+            self.silence = text
+        if going_on and reaction in (Reaction.LAND, Reaction.RELEASE, Reaction.HOME):
+            self.gone.append(text)
+        else:
+            self.aborts.setdefault(subject, text)
+        self.urgent |= urgent
+
     @property
     def abort(self) -> str | None:
         """Everything of ``aborts`` in one line, None when there is nothing."""

@@ -70,8 +70,7 @@ class Wind:
         """Enters the strongest wind that was seen."""
         if self.estimate.known:
             mean_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s))
-            figures.wind_mean_m_s = float(np.fmax(figures.wind_mean_m_s, mean_m_s))
-            figures.wind_gust_m_s = float(np.fmax(figures.wind_gust_m_s, self.estimate.gust_m_s))
+            figures.felt(mean_m_s, self.estimate.gust_m_s)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of wind near the limit, and brings everybody back from more than that."""
