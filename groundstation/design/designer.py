@@ -14,6 +14,7 @@ import numpy as np
 import scipy.spatial
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
+from groundstation.core.extras import need
 from groundstation.core.formation import Formation, Gains
 from groundstation.design.certify import (
     RESIDUAL_LIMIT,
@@ -67,6 +68,7 @@ Solver = Callable[[Block, float, Watch], BlockSolution]
 
 
 def _solve_cvxpy(block: Block, gap: float, watch: Watch) -> BlockSolution:
+    need("solvers", "method cvxpy")
     from groundstation.design.modelled import solve_cvxpy  # noqa: PLC0415 - slow to import, seldom wanted
 
     return solve_cvxpy(block, gap, watch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from groundstation.core.extras import need
 from groundstation.links.link import Link
 from groundstation.links.tcp import TcpClientLink, TcpServerLink
 from groundstation.links.udp import open_udp
@@ -22,6 +23,7 @@ def open_link(url: str) -> Link:
     """
     address = parse_address(url)
     if address.through_mavsdk:
+        need("mavsdk", f"link {url}")
         from groundstation.links.mavsdk_link import MavsdkLink  # noqa: PLC0415 - loads a native library
 
         return MavsdkLink(address)

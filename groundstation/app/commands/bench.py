@@ -15,6 +15,7 @@ from rich.table import Table
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
+from groundstation.core.extras import need
 
 BENCHES = {
     "avoidance": "groundstation.app.bench_avoidance",
@@ -40,6 +41,8 @@ def bench(
     out = Output(as_json=as_json)
     if name not in BENCHES:
         raise UserError(f"bench {name}: not known; use one of {', '.join(BENCHES)}")
+    if name == "gains":
+        need("solvers", "gs bench gains")
     values: dict[str, Any] = import_module(BENCHES[name]).run(
         out, **({"runs": runs, "seed": seed} if name in _OPTIONS else {})
     )

@@ -12,6 +12,7 @@ import typer
 from groundstation.app.options import JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, UserError
+from groundstation.core.extras import need
 
 if TYPE_CHECKING:
     from groundstation.app.campaign.spread import Lost
@@ -44,6 +45,7 @@ def campaign(
 
     Rows go to DIR/runs.parquet as they finish; killed or stopped, it goes on with --resume.
     """
+    need("campaign", "gs campaign")
     from groundstation.app.campaign import conduct
     from groundstation.app.campaign.cases import Cases
     from groundstation.app.campaign.report import FILES, write_summary

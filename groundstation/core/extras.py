@@ -1,0 +1,34 @@
+"""Packages that only some commands need: which extra of ``pip install`` brings them, and words when one is missing."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from groundstation.core.errors import UserError
+
+EXTRAS: dict[str, tuple[str, ...]] = {
+    "campaign": ("pyarrow", "dask", "distributed"),
+    "mavsdk": ("mavsdk",),
+    "solvers": ("cvxpy",),
+}
+"""Extra of this project: the packages that it brings, by the names that they are imported by."""
+
+
+def need(extra: str, what: str) -> None:
+    """Makes sure, before anything is done, that the packages of an extra are there.
+
+    Args:
+        extra: a key of ``EXTRAS``.
+        what: who needs them, as the user wrote it.
+
+    Raises:
+        UserError: one is missing; names it and the command that installs it.
+    """
+    for package in EXTRAS[extra]:
+        try:
+            import_module(package)
+        except ImportError:
+            raise UserError(
+                f"{what}: needs the package {package}, which is not installed;"
+                f" install it with: pip install 'gs-groundstation[{extra}]'"
+            ) from None
