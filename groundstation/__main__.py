@@ -6,11 +6,15 @@ Loads nothing before Ctrl-C is looked after, so that an early one ends in a word
 import signal
 import sys
 
+_WRONG_SYSTEM = 2
 _STOPPED = 130  # what shells report for a program ended by Ctrl-C
 
 
 def main() -> None:
     """Runs the command line; Ctrl-C before a command looks after it itself ends the program at once."""
+    if sys.platform == "win32":
+        sys.stderr.write("gs: runs on Linux and macOS; on Windows it runs inside WSL 2, see README.md\n")
+        sys.exit(_WRONG_SYSTEM)
     try:
         from groundstation.app.cli import main as run  # noqa: PLC0415 - loading takes a while
 

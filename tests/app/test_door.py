@@ -165,3 +165,13 @@ def test_the_program_has_a_second_name() -> None:
         [sys.executable, "-m", "groundstation", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("gs ")
+
+
+def test_windows_is_told_where_the_program_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(SystemExit) as ended:
+        door.main()
+    assert ended.value.code == 2
+    assert "WSL 2" in capsys.readouterr().err
