@@ -1,4 +1,4 @@
-"""What both personalities share: power-up, arming state, lift-off and touch-down, setpoints turned into commands.
+"""What all personalities share: power-up, arming state, lift-off and touch-down, setpoints turned into commands.
 
 One object per vehicle; ``tick`` is called every 20 ms of simulated time, message handlers in between. Refuses to
 move anything itself, and to know the world: it has its ``Body``.
@@ -9,13 +9,12 @@ from __future__ import annotations
 from groundstation.mavlink.codec import Frame
 from sitl.battery import Battery
 from sitl.body import Body
-from sitl.config import SECOND, Boot, VehicleConfig
+from sitl.config import SECOND, VehicleConfig
 from sitl.frames import is_place
 from sitl.mission import MissionFlight
-from sitl.params import ParamSet
+from sitl.outfit import Outfit
 from sitl.protocol import ACCEPTED, DENIED, UNSUPPORTED, Protocol
 from sitl.setpoints import NOTHING, Setpoint
-from sitl.streams import RATES_HZ
 from sitl.vision import Vision
 from sitl.wire import whole
 
@@ -35,9 +34,9 @@ class Autopilot(Protocol):
         battery: its battery.
     """
 
-    def __init__(self, body: Body, config: VehicleConfig, params: ParamSet, boot: Boot) -> None:
-        super().__init__(body, config, params)
-        self.boot = boot
+    def __init__(self, body: Body, config: VehicleConfig, outfit: Outfit) -> None:
+        super().__init__(body, config, outfit)
+        self.boot = outfit.boot
         self.boot_ns = body.now_ns
         self.powered = True
         self.armed, self.armed_ns = False, 0
@@ -124,10 +123,6 @@ class Autopilot(Protocol):
         """Called when a mission asks to return."""
         raise NotImplementedError
 
-    def default_rates_hz(self) -> dict[str, float]:
-        """Streams that run unasked."""
-        return RATES_HZ[self.config.streams]
-
     # -- time ---------------------------------------------------------------------------------------------------
 
     @property
@@ -157,7 +152,7 @@ class Autopilot(Protocol):
             return
         if not body.talking and self.age_ns >= self.boot.stream_ns:
             body.talking = True
-            body.set_rates({**self.default_rates_hz(), "HEARTBEAT": 0.0})
+            body.set_rates({**self.rates_hz, "HEARTBEAT": 0.0})
             self.started()
         if not self._beating and self.age_ns >= self.boot.heartbeat_ns:
             self._beating = True

@@ -7,7 +7,7 @@ sensor tells (contact with the ground, the ground's height beneath and the thrus
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import NamedTuple
 
 from sitl.frames import Array, Geodesy
@@ -40,6 +40,7 @@ class Body:
         state: of all vehicles.
         index: which of them.
         radio: what it sends with.
+        streamed: types that a vehicle of its kind can stream.
 
     Attributes:
         index: row of the vehicle in the world.
@@ -49,8 +50,8 @@ class Body:
         home_alt_m: height of the world's origin above the sea.
     """
 
-    def __init__(self, state: State, index: int, radio: Radio) -> None:
-        self._state, self.index, self._radio = state, index, radio
+    def __init__(self, state: State, index: int, radio: Radio, streamed: Container[str]) -> None:
+        self._state, self.index, self._radio, self._streamed = state, index, radio, streamed
         self._dynamics = state.dynamics
         self.profile: Profile = state.profiles[index]
         self.signing: VehicleSigning = state.signing[index]
@@ -234,17 +235,21 @@ class Body:
         """Sends one message of a streamed type out of turn. Returns whether it could be made."""
         return self._radio.send_now(self.index, name)
 
+    def can_stream(self, name: str) -> bool:
+        """Whether a vehicle of its kind knows how to stream a type."""
+        return name in self._streamed
+
     def set_rates(self, rates_hz: Mapping[str, float]) -> None:
         """Sets all streams: those that are not named are off."""
         self._state.streams.set_rates(self.index, rates_hz, self.now_ns)
 
     def set_interval(self, name: str, interval_ns: int) -> bool:
         """Sets one stream, 0 for off. Returns False for a type that is never streamed."""
-        return self._state.streams.set_interval(self.index, name, interval_ns, self.now_ns)
+        return self.can_stream(name) and self._state.streams.set_interval(self.index, name, interval_ns, self.now_ns)
 
     def interval(self, name: str) -> int | None:
         """Interval of a stream in ns, 0 for off, None for a type that is never streamed."""
-        return self._state.streams.interval(self.index, name)
+        return self._state.streams.interval(self.index, name) if self.can_stream(name) else None
 
     def reboot(self) -> None:
         """Powers itself off and on again."""

@@ -42,12 +42,12 @@ class VehicleConfig:
 
     Attributes:
         sysid: MAVLink system id, 1 to 255.
-        autopilot: "px4" or "arducopter".
-        profile: name in ``sitl.profiles.PROFILES``.
+        autopilot: name in ``sitl.personalities.PERSONALITIES``.
+        profile: name in ``sitl.personalities.PROFILES``.
         pad_enu_m: where it stands, in the world's frame.
         yaw_enu_rad: heading from east counter-clockwise.
         noise: errors of its estimate.
-        streams: what it sends unasked: "onboard", "gcs", "radio" (PX4's links), "ardupilot" or "quiet".
+        streams: what it sends unasked: name in ``sitl.personalities.RATES_HZ``.
         mavlink_version: 1, 2, or 0 for 1 until a MAVLink 2 frame has come in.
         gps: whether it has a GPS receiver.
         signing_key: 32 bytes with which it signs, and without which nobody is obeyed; None for neither.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,10 +56,6 @@ GPS = Noise(
     origin_sigma_m=0.25,
 )
 """GPS and IMU: seen to wander by 1 to 2.5 m a minute at zero command, origins off by up to 0.5 m / 0.6 m."""
-PX4_SIH = replace(GPS, vel_sigma_m_s=0.22, vel_tau_s=2.5)
-"""PX4's built-in simulator as it comes: positions like GPS, velocities wrong by 0.14 (north) to 0.31 m/s (east) for
-two or three seconds at a time, up to 0.9 m/s; here the same on all axes."""
-NOISES = {"none": NOISELESS, "mocap": MOCAP, "gps": GPS, "px4_sih": PX4_SIH}
 
 _BLOCK = 128
 _EVERY = 5  # the errors move every fifth physics step: they are slow

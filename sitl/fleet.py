@@ -9,8 +9,8 @@ import math
 
 from sitl.config import VehicleConfig
 from sitl.estimator import MOCAP, Noise
+from sitl.personalities import PERSONALITIES
 
-DEFAULT_PROFILES = {"px4": "crazyflie", "arducopter": "arducopter"}
 _COLUMNS = 3
 
 
@@ -44,7 +44,7 @@ def fleet(
 
     Args:
         n: how many, 1 to 254 (255 is what ground stations use).
-        autopilot: "px4" or "arducopter".
+        autopilot: name of a personality.
         profile: dynamics profile; None takes the autopilot's usual one.
         spacing_m: distance between neighbouring pads.
         noise: errors of the estimates.
@@ -54,19 +54,22 @@ def fleet(
         signing_key: key that they sign with, and want others to sign with.
 
     Raises:
-        ValueError: n is out of range.
+        ValueError: n is out of range, or there is no such autopilot.
     """
     if not 1 <= n <= 254:
         raise ValueError(f"vehicles: {n}, limits 1 and 254 (MAVLink system ids; 255 is the ground station's)")
+    if autopilot not in PERSONALITIES:
+        raise ValueError(f"autopilot is {autopilot!r}, one of {', '.join(PERSONALITIES)} is needed")
+    kind = PERSONALITIES[autopilot]
     return [
         VehicleConfig(
             sysid=k + 1,
             autopilot=autopilot,
-            profile=profile or DEFAULT_PROFILES.get(autopilot, "crazyflie"),
+            profile=profile or kind.profile,
             pad_enu_m=pad,
             yaw_enu_rad=math.pi / 2.0,  # facing north: heading 0
             noise=noise,
-            streams=streams or ("onboard" if autopilot == "px4" else "ardupilot"),
+            streams=streams or kind.streams,
             mavlink_version=mavlink_version,
             gps=gps,
             signing_key=signing_key,

@@ -1,13 +1,14 @@
 """Columns of every streamed message type, in wire units, made from what the vehicles believe.
 
-One function per type: (state, view, vehicles) to a structured array with one row per vehicle. Refuses to decide who
-sends what and when.
+One function per type: (state, view, vehicles) to a structured array with one row per vehicle. What only one kind of
+autopilot sends is with its personality. Refuses to decide who sends what and when.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +21,46 @@ from sitl.telemetry import View
 
 IntArray = NDArray[np.int64]
 Maker = Callable[[State, View, IntArray], StructuredArray]
-MAKERS: dict[str, Maker] = {}
-NEEDS_POSITION: set[str] = set()
-NEEDS_ORIGIN: set[str] = set()
-NEEDS_GPS: set[str] = set()
 
+
+class Message(NamedTuple):
+    """How one type is made, and what a vehicle needs before it sends it: a position, an origin, a GPS receiver."""
+
+    make: Maker
+    position: bool
+    origin: bool
+    gps: bool
+
+
+MESSAGES: dict[str, Message] = {}
+"""What vehicles of any kind can stream; ``sitl.messages_hardware`` has more of them."""
+_WIRE_ORDER = (
+    "HEARTBEAT", "SYS_STATUS", "SYSTEM_TIME", "TIMESYNC", "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED",
+    "ODOMETRY", "GLOBAL_POSITION_INT", "GPS_RAW_INT", "HIGHRES_IMU", "ALTITUDE", "VFR_HUD",
+    "POSITION_TARGET_LOCAL_NED", "ATTITUDE_TARGET", "DISTANCE_SENSOR", "PING", "EXTENDED_SYS_STATE",
+    "ESTIMATOR_STATUS", "EKF_STATUS_REPORT", "BATTERY_STATUS", "HOME_POSITION", "GPS_GLOBAL_ORIGIN",
+    "HIL_STATE_QUATERNION", "RAW_IMU", "SCALED_PRESSURE", "POWER_STATUS", "MEMINFO", "MISSION_CURRENT",
+    "NAV_CONTROLLER_OUTPUT", "SERVO_OUTPUT_RAW", "RC_CHANNELS", "VIBRATION",
+)  # fmt: skip
 _SEA_LEVEL_HPA = 1013.25
 
 
-def message(*, position: bool = False, origin: bool = False, gps: bool = False) -> Callable[[Maker], Maker]:
-    """Registers a maker under its upper-case name; with ``position`` it is silent before the estimator is ready."""
+def in_wire_order(names: Iterable[str]) -> tuple[str, ...]:
+    """The order in which types that are due at the same time are sent: so they lie on the wire, and in every log.
+
+    Where a type is made has no part in it; a type that stands nowhere here comes last, among its like by its name.
+    """
+    place = {name: k for k, name in enumerate(_WIRE_ORDER)}
+    return tuple(sorted(names, key=lambda name: (place.get(name, len(place)), name)))
+
+
+def message(
+    table: dict[str, Message], *, position: bool = False, origin: bool = False, gps: bool = False
+) -> Callable[[Maker], Maker]:
+    """Puts a maker into a table under its upper-case name; with ``position`` it is silent before there is one."""
 
     def register(maker: Maker) -> Maker:
-        name = maker.__name__.lstrip("_").upper()
-        MAKERS[name] = maker
-        if position:
-            NEEDS_POSITION.add(name)
-        if origin:
-            NEEDS_ORIGIN.add(name)
-        if gps:
-            NEEDS_GPS.add(name)
+        table[maker.__name__.lstrip("_").upper()] = Message(maker, position, origin, gps)
         return maker
 
     return register
@@ -50,7 +71,8 @@ def rows_of(name: str, vehicles: IntArray) -> StructuredArray:
     return np.zeros(len(vehicles), dtype=layout(name).dtype)
 
 
-def _each(state: State, vehicles: IntArray) -> list[Pilot]:
+def pilots_of(state: State, vehicles: IntArray) -> list[Pilot]:
+    """The autopilots of some vehicles."""
     return [state.pilots[i] for i in vehicles]
 
 
@@ -64,10 +86,10 @@ def times_us(state: State, vehicles: IntArray) -> IntArray:
     return np.asarray(state.vehicle_time_ns()[vehicles] // 1_000)
 
 
-@message()
+@message(MESSAGES)
 def _heartbeat(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HEARTBEAT", vehicles)
-    for row, pilot in zip(out, _each(state, vehicles), strict=True):
+    for row, pilot in zip(out, pilots_of(state, vehicles), strict=True):
         row["type"], row["autopilot"] = 2, pilot.mav_autopilot
         row["base_mode"], row["custom_mode"] = pilot.base_mode(), pilot.custom_mode()
         row["system_status"] = pilot.system_status()
@@ -75,10 +97,10 @@ def _heartbeat(state: State, _view: View, vehicles: IntArray) -> StructuredArray
     return out
 
 
-@message()
+@message(MESSAGES)
 def _sys_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SYS_STATUS", vehicles)
-    for row, pilot in zip(out, _each(state, vehicles), strict=True):
+    for row, pilot in zip(out, pilots_of(state, vehicles), strict=True):
         present, enabled, health = pilot.sensor_bits()
         row["onboard_control_sensors_present"] = present
         row["onboard_control_sensors_enabled"] = enabled
@@ -91,7 +113,7 @@ def _sys_status(state: State, _view: View, vehicles: IntArray) -> StructuredArra
     return out
 
 
-@message()
+@message(MESSAGES)
 def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SYSTEM_TIME", vehicles)
     out["time_unix_usec"] = state.unix_us() + state.clock_offset_ns[vehicles] // 1000
@@ -99,14 +121,14 @@ def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArr
     return out
 
 
-@message()
+@message(MESSAGES)
 def _timesync(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("TIMESYNC", vehicles)
     out["ts1"] = state.vehicle_time_ns()[vehicles]
     return out
 
 
-@message()
+@message(MESSAGES)
 def _attitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ATTITUDE", vehicles)
     roll, pitch, yaw = view.euler_rad
@@ -117,7 +139,7 @@ def _attitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@message()
+@message(MESSAGES)
 def _attitude_quaternion(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ATTITUDE_QUATERNION", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
@@ -126,7 +148,7 @@ def _attitude_quaternion(state: State, view: View, vehicles: IntArray) -> Struct
     return out
 
 
-@message(position=True)
+@message(MESSAGES, position=True)
 def _local_position_ned(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("LOCAL_POSITION_NED", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
@@ -135,7 +157,7 @@ def _local_position_ned(state: State, view: View, vehicles: IntArray) -> Structu
     return out
 
 
-@message(position=True)
+@message(MESSAGES, position=True)
 def _odometry(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ODOMETRY", vehicles)
     out["time_usec"] = times_us(state, vehicles)
@@ -168,7 +190,7 @@ def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np
     return lat_e7, lon_e7, _number(state, alt[vehicles])
 
 
-@message(position=True)
+@message(MESSAGES, position=True)
 def _global_position_int(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GLOBAL_POSITION_INT", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
@@ -182,7 +204,7 @@ def _global_position_int(state: State, view: View, vehicles: IntArray) -> Struct
     return out
 
 
-@message(gps=True)
+@message(MESSAGES, gps=True)
 def _gps_raw_int(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_RAW_INT", vehicles)
     out["time_usec"] = times_us(state, vehicles)
@@ -198,7 +220,7 @@ def _gps_raw_int(state: State, view: View, vehicles: IntArray) -> StructuredArra
     return out
 
 
-@message()
+@message(MESSAGES)
 def _highres_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HIGHRES_IMU", vehicles)
     out["time_usec"] = times_us(state, vehicles)
@@ -214,7 +236,7 @@ def _highres_imu(state: State, view: View, vehicles: IntArray) -> StructuredArra
     return out
 
 
-@message(position=True)
+@message(MESSAGES, position=True)
 def _altitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ALTITUDE", vehicles)
     out["time_usec"] = times_us(state, vehicles)
@@ -227,7 +249,7 @@ def _altitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@message()
+@message(MESSAGES)
 def _vfr_hud(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("VFR_HUD", vehicles)
     vel = view.vel_ned_m_s[:, vehicles]
@@ -239,7 +261,7 @@ def _vfr_hud(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@message(position=True)
+@message(MESSAGES, position=True)
 def _position_target_local_ned(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("POSITION_TARGET_LOCAL_NED", vehicles)
     dynamics = state.dynamics
@@ -255,7 +277,7 @@ def _position_target_local_ned(state: State, _view: View, vehicles: IntArray) ->
     return out
 
 
-@message()
+@message(MESSAGES)
 def _attitude_target(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     """As far as the dynamics have one: the attitude that is flown, with the thrust."""
     out = rows_of("ATTITUDE_TARGET", vehicles)
@@ -265,7 +287,7 @@ def _attitude_target(state: State, view: View, vehicles: IntArray) -> Structured
     return out
 
 
-@message()
+@message(MESSAGES)
 def _distance_sensor(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     """The one that PX4's built-in simulator has, looking down."""
     out = rows_of("DISTANCE_SENSOR", vehicles)
@@ -277,7 +299,7 @@ def _distance_sensor(state: State, _view: View, vehicles: IntArray) -> Structure
     return out
 
 
-@message()
+@message(MESSAGES)
 def _ping(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("PING", vehicles)
     out["time_usec"] = times_us(state, vehicles)
@@ -285,21 +307,21 @@ def _ping(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@message()
+@message(MESSAGES)
 def _extended_sys_state(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("EXTENDED_SYS_STATE", vehicles)
-    out["landed_state"] = [pilot.landed_state() for pilot in _each(state, vehicles)]
+    out["landed_state"] = [pilot.landed_state() for pilot in pilots_of(state, vehicles)]
     return out
 
 
-@message()
+@message(MESSAGES)
 def _estimator_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ESTIMATOR_STATUS", vehicles)
     out["time_usec"] = times_us(state, vehicles)
     good = state.has_position[vehicles] & ~state.invalid[vehicles]
     # attitude, vertical velocity, heights above sea and ground; with a position: horizontal velocity, positions,
     # and that they are measured. Standing still sets "constant position", whatever is known.
-    resting = np.array([pilot.landed for pilot in _each(state, vehicles)], dtype=bool)
+    resting = np.array([pilot.landed for pilot in pilots_of(state, vehicles)], dtype=bool)
     out["flags"] = np.where(good, 0x37F, 0x65) | np.where(resting, 0x80, 0)
     for name, value in (("vel_ratio", 0.03), ("pos_horiz_ratio", 0.02), ("pos_vert_ratio", 0.03)):
         out[name] = np.where(good, value, 2.0)
@@ -308,22 +330,10 @@ def _estimator_status(state: State, _view: View, vehicles: IntArray) -> Structur
     return out
 
 
-@message()
-def _ekf_status_report(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = rows_of("EKF_STATUS_REPORT", vehicles)
-    good = state.has_position[vehicles] & ~state.invalid[vehicles]
-    # without a position: attitude, velocities and height, and "constant position"; nothing before it has begun
-    begun = np.array([pilot.age_ns >= pilot.boot.deaf_ns for pilot in _each(state, vehicles)], dtype=bool)
-    out["flags"] = np.where(good, 0x33F, np.where(begun, 0xA7, 0x400))
-    for name in ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance"):
-        out[name] = np.where(good, 0.02, 1.2)
-    return out
-
-
-@message()
+@message(MESSAGES)
 def _battery_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("BATTERY_STATUS", vehicles)
-    for row, pilot in zip(out, _each(state, vehicles), strict=True):
+    for row, pilot in zip(out, pilots_of(state, vehicles), strict=True):
         battery = pilot.battery
         row["current_consumed"] = int(battery.used_mah())
         row["energy_consumed"] = -1
@@ -338,7 +348,7 @@ def _battery_status(state: State, _view: View, vehicles: IntArray) -> Structured
     return out
 
 
-@message(position=True)
+@message(MESSAGES, position=True)
 def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HOME_POSITION", vehicles)
     home = state.home_enu_m[:, vehicles]
@@ -352,7 +362,7 @@ def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredAr
     return out
 
 
-@message(origin=True)
+@message(MESSAGES, origin=True)
 def _gps_global_origin(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_GLOBAL_ORIGIN", vehicles)
     lat, lon, alt = state.geodesy.geodetic_from_enu(state.origin_enu_m[:, vehicles])
@@ -362,7 +372,7 @@ def _gps_global_origin(state: State, _view: View, vehicles: IntArray) -> Structu
     return out
 
 
-@message()
+@message(MESSAGES)
 def _hil_state_quaternion(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     """The simulator's truth, not the estimate."""
     out = rows_of("HIL_STATE_QUATERNION", vehicles)

@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 from groundstation.mavlink.codec import Encoder, Frame, message_id, message_name
 from sitl.body import Body
 from sitl.config import VehicleConfig
-from sitl.messages import MAKERS
-from sitl.params import ParamSet
+from sitl.outfit import Outfit
 from sitl.wire import V1_LAST_ID, Fields, unpack, whole
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
@@ -48,6 +47,7 @@ class Protocol:
         sysid, compid: its MAVLink address.
         encoder: makes its frames and numbers them.
         params: its parameters.
+        rates_hz: streams that run unasked.
         mission: stored mission items, fields of MISSION_ITEM_INT.
         gcs_heard_ns: last heartbeat of a ground station; None before.
     """
@@ -57,12 +57,12 @@ class Protocol:
     version_fields: ClassVar[Fields] = {}
     commands_to_system_0 = False
 
-    def __init__(self, body: Body, config: VehicleConfig, params: ParamSet) -> None:
+    def __init__(self, body: Body, config: VehicleConfig, outfit: Outfit) -> None:
         self.body, self.config = body, config
         self.armed = False
         self.sysid, self.compid = config.sysid, 1
         self.encoder = Encoder(config.sysid, self.compid, version=2 if config.mavlink_version == 2 else 1)
-        self.params = params
+        self.params, self.rates_hz = outfit.params, outfit.rates_hz
         self.mission: list[Fields] = []
         self.mission_seq = 0
         self.gcs_heard_ns: int | None = None
@@ -206,7 +206,7 @@ class Protocol:
         name = message_name(whole(params[0])) or ""
         interval_us = min(whole(params[1]), 10**12)
         if interval_us == 0:  # the default rate
-            rate = self.default_rates_hz().get(name, 0.0)
+            rate = self.rates_hz.get(name, 0.0)
             interval_ns = round(1e9 / rate) if rate else 0
         else:
             interval_ns = max(interval_us, 0) * 1000
@@ -219,10 +219,6 @@ class Protocol:
         self.send("MESSAGE_INTERVAL", message_id=whole(params[0]) & 0xFFFF, interval_us=interval_us)
         return ACCEPTED
 
-    def default_rates_hz(self) -> dict[str, float]:
-        """Streams that run unasked."""
-        raise NotImplementedError
-
     def _request(self, msgid: int, _frame: Frame) -> int:
         """Sends one message on request."""
         name = message_name(msgid) or ""
@@ -230,7 +226,7 @@ class Protocol:
             self.send(name, uid=0x5117000000000000 + self.sysid, **self.version_fields)
         elif name == "PROTOCOL_VERSION":
             self.send(name, version=200, min_version=100, max_version=200)
-        elif name in MAKERS:
+        elif self.body.can_stream(name):
             return ACCEPTED if self.body.send_now(name) else DENIED
         else:
             return DENIED

@@ -18,7 +18,7 @@ from sitl.environment import Downwash, Wind
 from sitl.estimator import Estimator
 from sitl.frames import Array, Geodesy
 from sitl.pilot import Pilot
-from sitl.profiles import PROFILES
+from sitl.profiles import Profile
 from sitl.signing import VehicleSigning
 from sitl.streams import Streams
 
@@ -28,6 +28,7 @@ class State:
 
     Args:
         config: see ``WorldConfig``.
+        profiles: how each vehicle flies.
         streamed: message types that can be streamed, in the order in which they are sent.
         rng_estimate, rng_wind: of the estimates' errors, and of gusts.
 
@@ -50,6 +51,7 @@ class State:
     def __init__(
         self,
         config: WorldConfig,
+        profiles: Sequence[Profile],
         streamed: Sequence[str],
         rng_estimate: np.random.Generator,
         rng_wind: np.random.Generator,
@@ -58,7 +60,7 @@ class State:
         self.config, self.n = config, n
         self.now_ns = config.start_ns
         step_s = config.physics_step_ns / SECOND
-        self.profiles = tuple(PROFILES[vehicle.profile] for vehicle in config.vehicles)
+        self.profiles = tuple(profiles)
         self.estimator = Estimator([vehicle.noise for vehicle in config.vehicles], step_s, rng_estimate)
         pads = np.array([vehicle.pad_enu_m for vehicle in config.vehicles], dtype=np.float64).T.copy()
         yaws = np.array([vehicle.yaw_enu_rad for vehicle in config.vehicles], dtype=np.float64)

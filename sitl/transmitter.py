@@ -6,14 +6,14 @@ Refuses to decide who sends what and when.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.mavlink.codec import encode_batch, message_id
-from sitl.messages import MAKERS, NEEDS_GPS, NEEDS_ORIGIN, NEEDS_POSITION
+from sitl.messages import Message
 from sitl.network import PERFECT, Channel
 from sitl.state import State
 from sitl.telemetry import View
@@ -45,10 +45,11 @@ class Transmitter:
     Args:
         state: of the world.
         downlinks: link from each vehicle.
+        messages: streamed types and how they are made.
     """
 
-    def __init__(self, state: State, downlinks: Sequence[Channel]) -> None:
-        self._state, self._downlinks = state, downlinks
+    def __init__(self, state: State, downlinks: Sequence[Channel], messages: Mapping[str, Message]) -> None:
+        self._state, self._downlinks, self._messages = state, downlinks, messages
         self._pending: dict[int, list[bytes]] = {}
         self._under_way: list[_Late] = []
         self._order = 0
@@ -72,12 +73,13 @@ class Transmitter:
     def make(self, name: str, vehicles: NDArray[np.int64]) -> int:
         """Makes one message type for some vehicles; returns how many were sent."""
         state = self._state
+        message = self._messages[name]
         able = state.talking[vehicles]
-        if name in NEEDS_POSITION:
+        if message.position:
             able &= state.has_position[vehicles]
-        elif name in NEEDS_ORIGIN:
+        elif message.origin:
             able &= state.has_origin[vehicles]
-        if name in NEEDS_GPS:
+        if message.gps:
             able &= state.has_gps[vehicles]
         if name in state.muted:
             able &= ~state.muted[name][vehicles]
@@ -90,7 +92,7 @@ class Transmitter:
         if self._view is None:
             self._view = View(state)
         encoders = [state.pilots[i].encoder for i in vehicles]
-        rows = MAKERS[name](state, self._view, vehicles)
+        rows = message.make(state, self._view, vehicles)
         for i, frame in zip(vehicles.tolist(), encode_batch(name, rows, encoders), strict=True):
             self._pending.setdefault(i, []).append(frame)
         return len(vehicles)

@@ -15,21 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.mavlink.codec import Frame, Splitters
-from sitl import messages_ardupilot
-from sitl.ardupilot import ArduCopter
 from sitl.autopilot import Autopilot
 from sitl.body import Body, Radio
-from sitl.config import SECOND, Boot, VehicleConfig, WindConfig, WorldConfig
+from sitl.config import SECOND, VehicleConfig, WindConfig, WorldConfig
 from sitl.distances import Distances
 from sitl.dynamics import Dynamics
 from sitl.estimator import Estimator
 from sitl.fault_desk import FaultDesk
 from sitl.faults import Fault
 from sitl.frames import Array
-from sitl.messages import MAKERS
+from sitl.messages import MESSAGES, in_wire_order
+from sitl.messages_hardware import HARDWARE_MESSAGES
 from sitl.network import Channel
-from sitl.profiles import PROFILES
-from sitl.px4 import Px4
+from sitl.outfit import Outfit
+from sitl.personalities import PERSONALITIES, PROFILES, RATES_HZ
 from sitl.signing import VehicleSigning
 from sitl.state import State
 from sitl.streams import Streams
@@ -37,8 +36,7 @@ from sitl.transmitter import Outgoing, Transmitter
 
 __all__ = ["Outgoing", "Truth", "VehicleConfig", "WindConfig", "World", "WorldConfig"]
 _TICK_NS = 20_000_000
-messages_ardupilot.register()
-PERSONALITIES: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
+_COMMON = {**MESSAGES, **HARDWARE_MESSAGES}
 
 
 @dataclass(frozen=True)
@@ -93,11 +91,15 @@ class World:
         _check(config)
         seeds = np.random.SeedSequence(seed).spawn(4 + 2 * n)
         rng_estimate, rng_wind, self._rng_boot = (np.random.default_rng(s) for s in seeds[:3])
-        self.state = State(config, tuple(MAKERS), rng_estimate, rng_wind)
+        messages = dict(_COMMON)
+        for vehicle in config.vehicles:
+            messages |= PERSONALITIES[vehicle.autopilot].messages
+        profiles = [PROFILES[vehicle.profile] for vehicle in config.vehicles]
+        self.state = State(config, profiles, in_wire_order(messages), rng_estimate, rng_wind)
         self._uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
         downlinks = [Channel(config.downlink, np.random.default_rng(s)) for s in seeds[4 + n :]]
         self.links = list(zip(self._uplinks, downlinks, strict=True))
-        self._transmitter = Transmitter(self.state, downlinks)
+        self._transmitter = Transmitter(self.state, downlinks, messages)
         self._radio = Radio(self._transmitter.emit, self._send_now, self.reboot)
         self._splitters = Splitters()
         self._incoming: list[_Arrival] = []
@@ -275,27 +277,19 @@ class World:
     def _power_up(self, index: int) -> Autopilot:
         config = self.config.vehicles[index]
         kind = PERSONALITIES[config.autopilot]
-        pilot = kind(Body(self.state, index, self._radio), config, self._boot_of(config.autopilot))
+        start_up = kind.real_start if self.config.real_boot else kind.quick_start
+        outfit = Outfit(
+            boot=start_up.boot(float(self._rng_boot.random())),
+            params=kind.parameters(config.sysid),
+            rates_hz=RATES_HZ[config.streams],
+        )
+        body = Body(self.state, index, self._radio, frozenset((*_COMMON, *kind.messages)))
+        pilot = kind.autopilot(body, config, outfit)
         for name, value in config.params:
             if name not in pilot.params:
                 raise ValueError(f"emulated vehicle {index + 1}: it has no parameter {name}")
             pilot.params.set_value(name, value)
         return pilot
-
-    def _boot_of(self, autopilot: str) -> Boot:
-        """Start-up times: short by default, as seen on the real ones with ``real_boot``; spread from the seed."""
-        spread = float(self._rng_boot.random())
-
-        def ns(low_s: float, high_s: float) -> int:
-            return round((low_s + (high_s - low_s) * spread) * SECOND)
-
-        px4 = autopilot == "px4"
-        if not self.config.real_boot:
-            position, ready = (ns(1.0, 1.4), ns(1.8, 2.0)) if px4 else (ns(1.8, 2.0), ns(0.9, 1.0))
-            return Boot(ns(0.1, 0.1), ns(0.1, 0.1), position, ready, min(position, ns(1.0, 1.4)), ns(0.2, 0.2))
-        if px4:
-            return Boot(ns(1.0, 1.1), ns(2.1, 2.8), ns(1.2, 1.8), ns(5.0, 7.5), ns(1.2, 1.8), 0)
-        return Boot(ns(0.5, 0.6), ns(1.9, 2.1), ns(41.5, 42.5), ns(23.5, 24.5), ns(20.5, 21.5), ns(3.0, 3.0))
 
 
 def _check(config: WorldConfig) -> None:
@@ -307,8 +301,10 @@ def _check(config: WorldConfig) -> None:
         if vehicle.sysid in seen:
             raise ValueError(f"{where}: sysid {vehicle.sysid} is taken; every vehicle needs its own")
         seen.add(vehicle.sysid)
-        if vehicle.profile not in PROFILES:
-            raise ValueError(f"{where}: profile is {vehicle.profile!r}, one of {', '.join(PROFILES)} is needed")
-        if vehicle.autopilot not in PERSONALITIES:
-            names = " or ".join(PERSONALITIES)
-            raise ValueError(f"{where}: autopilot is {vehicle.autopilot!r}, {names} is needed")
+        for key, value, known in (
+            ("profile", vehicle.profile, PROFILES),
+            ("autopilot", vehicle.autopilot, PERSONALITIES),
+            ("streams", vehicle.streams, RATES_HZ),
+        ):
+            if value not in known:
+                raise ValueError(f"{where}: {key} is {value!r}, one of {', '.join(known)} is needed")

@@ -22,10 +22,9 @@ from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
 from sitl.faults import Fault, FaultError, load_faults
+from sitl.personalities import PERSONALITIES
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
-
-_STREAMS = {"px4": "onboard", "arducopter": "ardupilot"}
 
 
 def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
@@ -41,6 +40,11 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
         UserError: the mission asks for what the emulator does not do.
     """
     for number, vehicle in enumerate(plan.spec.vehicles):
+        if vehicle.autopilot not in PERSONALITIES:
+            raise UserError(
+                f"{plan.source}: vehicles[{number}].autopilot: {vehicle.autopilot} is not emulated; for a dry run add"
+                f" --set vehicles.{number}.autopilot= with one of {', '.join(PERSONALITIES)}"
+            )
         if vehicle.origin in ("team", "declared"):
             raise UserError(
                 f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: emulated vehicles start their local frame"
@@ -61,7 +65,7 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 pad_enu_m=vehicle.pad_m,
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
-                streams=_STREAMS[vehicle.autopilot],
+                streams=PERSONALITIES[vehicle.autopilot].streams,
                 signing_key=None if key is None else key.setup_bytes(),
                 params=tuple(autopilot.failsafes.settings(wish).items()),
             )

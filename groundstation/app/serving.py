@@ -16,13 +16,11 @@ from rich.text import Text
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 from groundstation.mavlink.keys import read_key
-from sitl.estimator import NOISES
 from sitl.faults import Fault, load_faults
 from sitl.fleet import fleet
-from sitl.profiles import PROFILES
+from sitl.personalities import NOISES, PERSONALITIES, PROFILES, RATES_HZ
 from sitl.server import Server
-from sitl.streams import RATES_HZ
-from sitl.world import PERSONALITIES, WindConfig, WorldConfig
+from sitl.world import WindConfig, WorldConfig
 
 _ROWS_SHOWN = 30
 
@@ -58,9 +56,9 @@ def open_server(options: SitlOptions) -> Server:
     for name, value, allowed in (
         ("--autopilot", options.autopilot, tuple(PERSONALITIES)),
         ("--noise", options.noise, tuple(NOISES)),
-        ("--profile", options.profile or "crazyflie", tuple(PROFILES)),
+        ("--profile", options.profile or next(iter(PROFILES)), tuple(PROFILES)),
         ("--mavlink", options.mavlink, (0, 1, 2)),
-        ("--streams", options.streams or "onboard", tuple(RATES_HZ)),
+        ("--streams", options.streams or next(iter(RATES_HZ)), tuple(RATES_HZ)),
     ):
         if value not in allowed:
             raise UserError(f"{name}: {value!r} is unknown; choose one of {', '.join(map(str, allowed))}")

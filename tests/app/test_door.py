@@ -152,11 +152,10 @@ def test_what_an_option_lists_is_what_there_is() -> None:
     from groundstation.app.commands import design, sitl, sitl_env
     from groundstation.app.real_sitl import HOME
     from groundstation.design.designer import METHODS
-    from sitl.estimator import NOISES
-    from sitl.profiles import PROFILES
+    from sitl.personalities import PERSONALITIES
 
     assert tuple(METHODS) == design._METHODS
-    assert (tuple(PROFILES), tuple(NOISES)) == (sitl._PROFILES, sitl._NOISES)
+    assert sitl.personality_names() == sorted(PERSONALITIES)
     assert ",".join(map(str, HOME)) == sitl_env._HOME
 
 

@@ -15,7 +15,7 @@ from groundstation.mavlink.codec import Batch, Frame, FrameSplitter, decode, mes
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Phase, Runner
-from sitl.px4 import LAND, POSCTL
+from sitl.personalities.px4.autopilot import LAND, POSCTL
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, cube8, four, mission, pair, still_in
 

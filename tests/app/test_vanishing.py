@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.mission.runner import Phase
-from sitl.params_px4 import px4_params
+from sitl.personalities.px4.params import px4_params
 from tests.app.flights import Flight, after, cube8, mission, pair
 from tests.app.vanishing import Vanished
 

@@ -10,7 +10,7 @@ import pytest
 from sitl.dynamics import GRAVITY_M_S2, Dynamics
 from sitl.environment import Downwash, Wind
 from sitl.estimator import GPS, MOCAP, NOISELESS, Estimator, Noise
-from sitl.profiles import PROFILES
+from sitl.personalities import PROFILES
 
 STEP_S = 0.004
 

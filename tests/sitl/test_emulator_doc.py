@@ -9,7 +9,7 @@ import pytest
 
 from groundstation.app.commands.sitl import sitl
 from sitl.faults import KINDS
-from sitl.profiles import PROFILES
+from sitl.personalities import PROFILES
 
 HERE = Path(__file__).parent
 DOC = HERE.parents[1] / "docs" / "emulator.md"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
 from typing import Annotated
@@ -15,14 +16,20 @@ import typer
 
 from groundstation.app.output import Output
 
-_PROFILES = "crazyflie", "px4_quad", "px4_sih", "arducopter"
-_NOISES = "none", "mocap", "gps", "px4_sih"
+_LISTED = "a wrong name lists all that there are"
+
+
+def personality_names() -> list[str]:
+    """Names of the autopilots that can be emulated, read off their folders: nothing is loaded for it."""
+    spec = find_spec("sitl")
+    folders = [Path(place) / "personalities" for place in (spec and spec.submodule_search_locations) or ()]
+    return sorted(path.parent.name for folder in folders for path in folder.glob("*/__init__.py"))
 
 
 def sitl(
     *,
     vehicles: Annotated[int, typer.Option("--vehicles", "-n", help="How many vehicles, 1 to 254.")] = 8,
-    autopilot: Annotated[str, typer.Option(help="px4 or arducopter.")] = "px4",
+    autopilot: Annotated[str, typer.Option(help=f"Who flies them: {', '.join(personality_names())}.")] = "px4",
     port: Annotated[int, typer.Option(help="UDP port of the ground station on 127.0.0.1.")] = 14540,
     seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
     faults: Annotated[Path | None, typer.Option(help="Timetable of faults (YAML).")] = None,
@@ -32,11 +39,11 @@ def sitl(
     port_per_vehicle: Annotated[
         bool, typer.Option("--port-per-vehicle", help="Vehicle i sends to port + i - 1.")
     ] = False,
-    profile: Annotated[str | None, typer.Option(help=f"Dynamics: {', '.join(_PROFILES)}.")] = None,
-    noise: Annotated[str, typer.Option(help=f"Errors of the estimates: {', '.join(_NOISES)}.")] = "mocap",
+    profile: Annotated[str | None, typer.Option(help=f"Dynamics: crazyflie, px4_quad, ...; {_LISTED}.")] = None,
+    noise: Annotated[str, typer.Option(help=f"Errors of the estimates: none, mocap, gps, ...; {_LISTED}.")] = "mocap",
     streams: Annotated[
         str | None,
-        typer.Option(help="Sent unasked: onboard, gcs, radio, ardupilot; the autopilot's own if not given."),
+        typer.Option(help=f"Sent unasked: the autopilot's own if not given; quiet, onboard, ...; {_LISTED}."),
     ] = None,
     gps: Annotated[bool, typer.Option("--gps/--no-gps", help="Whether the vehicles have GPS.")] = True,
     spacing_m: Annotated[float, typer.Option("--spacing", help="Distance between pads, metres.")] = 1.0,

@@ -1,4 +1,4 @@
-"""``gs sitl-env``: the lines that start a mission's team on PX4's and ArduPilot's own simulators."""
+"""``gs sitl-env``: the lines that start a mission's team on the autopilots' own simulators."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def sitl_env(
         str, typer.Option(help="Where the team frame has its origin: LAT,LON,ALT in degrees and metres.")
     ] = _HOME,
     stock: Annotated[
-        bool, typer.Option("--stock", help="PX4 as it comes, without parameters of its estimator.")
+        bool, typer.Option("--stock", help="Simulators as they come, without the parameters that cure them.")
     ] = False,
     changes: SetOption = None,
     as_json: JsonOption = False,

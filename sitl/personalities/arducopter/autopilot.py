@@ -12,10 +12,11 @@ from typing import ClassVar
 from groundstation.mavlink.codec import Frame, message_name
 from sitl.autopilot import IN_AIR, LANDED, LANDING, TAKING_OFF, Autopilot
 from sitl.body import Body
-from sitl.config import SECOND, Boot, VehicleConfig
+from sitl.config import SECOND, VehicleConfig
 from sitl.frames import is_place
-from sitl.messages import MAKERS
-from sitl.params_ardupilot import ardupilot_params
+from sitl.outfit import Outfit
+from sitl.personalities.arducopter.setpoints import read_ardupilot
+from sitl.personalities.arducopter.streams import DATA_STREAMS
 from sitl.protocol import (
     ACCEPTED,
     DENIED,
@@ -29,7 +30,7 @@ from sitl.protocol import (
     MSG_VICON_POSITION_ESTIMATE,
     MSG_VISION_POSITION_ESTIMATE,
 )
-from sitl.setpoints import NOTHING, Setpoint, read_ardupilot
+from sitl.setpoints import NOTHING, Setpoint
 from sitl.vision import LOCAL_FRD, Vision
 from sitl.wire import Fields, whole
 
@@ -53,16 +54,6 @@ _EXTERNAL_NAV = 6
 _ARMING_NS, _SPOOL_NS = 2 * SECOND, round(1.4 * SECOND)  # after arming; after that, or after the takeoff command
 _AFTER_LANDING_S = 0.5
 
-DATA_STREAMS: dict[int, tuple[str, ...]] = {
-    1: ("RAW_IMU", "SCALED_PRESSURE"),
-    2: ("SYS_STATUS", "MEMINFO", "POWER_STATUS", "MISSION_CURRENT", "GPS_RAW_INT", "NAV_CONTROLLER_OUTPUT"),
-    3: ("SERVO_OUTPUT_RAW", "RC_CHANNELS"),
-    6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
-    10: ("ATTITUDE",),
-    11: ("VFR_HUD",),
-    12: ("SYSTEM_TIME", "BATTERY_STATUS", "EKF_STATUS_REPORT", "VIBRATION"),
-}
-"""REQUEST_DATA_STREAM groups; 0 stands for all of them."""
 _BOOT_TEXTS = (
     (1.86, "Barometer 1 calibration complete"), (1.86, "Barometer 2 calibration complete"), (2.39, "ArduPilot Ready"),
     (2.39, "AHRS: DCM active"), (4.39, "EKF3 IMU0 initialised"), (4.39, "EKF3 IMU1 initialised"),
@@ -93,8 +84,8 @@ class ArduCopter(Autopilot):
         "flight_custom_version": b"gs-sitl",
     }
 
-    def __init__(self, body: Body, config: VehicleConfig, boot: Boot) -> None:
-        super().__init__(body, config, ardupilot_params(config.sysid), boot)
+    def __init__(self, body: Body, config: VehicleConfig, outfit: Outfit) -> None:
+        super().__init__(body, config, outfit)
         self.mode = STABILIZE
         self.taking_off_to: float | None = None
         self._hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -175,7 +166,7 @@ class ArduCopter(Autopilot):
     def _request(self, msgid: int, frame: Frame) -> int:
         """What it knows and cannot tell yet is accepted, and not sent."""
         result = super()._request(msgid, frame)
-        return ACCEPTED if (message_name(msgid) or "") in MAKERS else result
+        return ACCEPTED if self.body.can_stream(message_name(msgid) or "") else result
 
     def started(self) -> None:
         """Sends what comes out of a freshly booted board: bytes that are no MAVLink, then its banner."""

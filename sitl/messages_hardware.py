@@ -1,4 +1,4 @@
-"""Columns of the message types that ArduPilot streams, some PX4 too; importing this module registers them.
+"""Columns of more message types, as in ``messages``: sensors, outputs, power, and what a stored mission has come to.
 
 Refuses to be a sensor model: values are believable, no more.
 """
@@ -8,19 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.mavlink.codec import StructuredArray
-from sitl.messages import IntArray, message, rows_of, times_ms, times_us
+from sitl.messages import IntArray, Message, message, rows_of, times_ms, times_us
 from sitl.state import State
 from sitl.telemetry import View
 
-
-def register() -> None:
-    """Does nothing: importing this module has registered its makers; calling it shows that the import is meant."""
-
-
+HARDWARE_MESSAGES: dict[str, Message] = {}
 _MILLI_G = 1000.0 / 9.80665
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _raw_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("RAW_IMU", vehicles)
     out["time_usec"] = times_us(state, vehicles)
@@ -34,7 +30,7 @@ def _raw_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     return out
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _scaled_pressure(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SCALED_PRESSURE", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
@@ -44,21 +40,14 @@ def _scaled_pressure(state: State, _view: View, vehicles: IntArray) -> Structure
     return out
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _power_status(_state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("POWER_STATUS", vehicles)
     out["Vcc"], out["Vservo"] = 5000, 0
     return out
 
 
-@message()
-def _meminfo(_state: State, _view: View, vehicles: IntArray) -> StructuredArray:
-    out = rows_of("MEMINFO", vehicles)
-    out["freemem"], out["freemem32"] = 65535, 131072
-    return out
-
-
-@message()
+@message(HARDWARE_MESSAGES)
 def _mission_current(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("MISSION_CURRENT", vehicles)
     out["seq"] = [state.pilots[i].mission_seq for i in vehicles]
@@ -66,7 +55,7 @@ def _mission_current(state: State, _view: View, vehicles: IntArray) -> Structure
     return out
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _nav_controller_output(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("NAV_CONTROLLER_OUTPUT", vehicles)
     roll, pitch, yaw = view.euler_rad
@@ -78,7 +67,7 @@ def _nav_controller_output(state: State, view: View, vehicles: IntArray) -> Stru
     return out
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _servo_output_raw(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SERVO_OUTPUT_RAW", vehicles)
     out["time_usec"] = times_us(state, vehicles) & 0xFFFFFFFF
@@ -88,7 +77,7 @@ def _servo_output_raw(state: State, _view: View, vehicles: IntArray) -> Structur
     return out
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _rc_channels(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("RC_CHANNELS", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
@@ -98,7 +87,7 @@ def _rc_channels(state: State, _view: View, vehicles: IntArray) -> StructuredArr
     return out
 
 
-@message()
+@message(HARDWARE_MESSAGES)
 def _vibration(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("VIBRATION", vehicles)
     out["time_usec"] = times_us(state, vehicles)

@@ -12,9 +12,10 @@ from typing import ClassVar
 from groundstation.mavlink.codec import Frame
 from sitl.autopilot import IN_AIR, LANDED, LANDING, TAKING_OFF, Autopilot
 from sitl.body import Body
-from sitl.config import SECOND, Boot, VehicleConfig
+from sitl.config import SECOND, VehicleConfig
 from sitl.frames import is_place
-from sitl.params_px4 import px4_params
+from sitl.outfit import Outfit
+from sitl.personalities.px4.setpoints import read_px4
 from sitl.protocol import (
     ACCEPTED,
     DENIED,
@@ -25,7 +26,7 @@ from sitl.protocol import (
     MSG_VISION_POSITION_ESTIMATE,
     TEMPORARILY_REJECTED,
 )
-from sitl.setpoints import NOTHING, read_px4
+from sitl.setpoints import NOTHING
 from sitl.vision import LOCAL_FRD, LOCAL_NED, Vision
 from sitl.wire import Fields, whole
 
@@ -77,8 +78,8 @@ class Px4(Autopilot):
         "flight_custom_version": b"\x01\x17gssitl",
     }
 
-    def __init__(self, body: Body, config: VehicleConfig, boot: Boot) -> None:
-        super().__init__(body, config, px4_params(config.sysid), boot)
+    def __init__(self, body: Body, config: VehicleConfig, outfit: Outfit) -> None:
+        super().__init__(body, config, outfit)
         self.intention: Mode = LOITER
         self.failsafe: Mode | None = None
         self._after_flight: Mode = LOITER

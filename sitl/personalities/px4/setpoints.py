@@ -1,0 +1,43 @@
+"""SET_POSITION_TARGET_LOCAL_NED as PX4 reads it: masks, frames, what it refuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from sitl.setpoints import BODY_NED, LOCAL_NED, Setpoint, heading, turned
+from sitl.wire import Fields
+
+
+def read_px4(fields: Fields, t_ns: int, origin_enu_m: Sequence[float], yaw_enu_rad: float) -> Setpoint | None:
+    """Reads a setpoint as PX4 does: axis by axis, NaN and masked axes are not commanded.
+
+    Returns:
+        None when it commands neither a position nor a velocity.
+
+    Raises:
+        ValueError: the frame is not one that PX4 takes.
+    """
+    frame, mask = fields["coordinate_frame"], fields["type_mask"]
+    if frame not in (LOCAL_NED, BODY_NED):
+        raise ValueError(f"coordinate frame {frame} unsupported")
+    north, east, down = (
+        None if mask & (8 << axis) or not math.isfinite(fields[name]) else fields[name]
+        for axis, name in enumerate(("vx", "vy", "vz"))
+    )
+    x, y, z = (
+        None if mask & (1 << axis) or not math.isfinite(fields[name]) else fields[name]
+        for axis, name in enumerate(("x", "y", "z"))
+    )
+    if frame == BODY_NED:
+        x = y = z = None  # positions in the body frame are not supported
+        if north is not None and east is not None:
+            north, east = turned(north, east, yaw_enu_rad)
+    if all(value is None for value in (north, east, down, x, y, z)):
+        return None
+    pos = (
+        None if y is None else origin_enu_m[0] + y,
+        None if x is None else origin_enu_m[1] + x,
+        None if z is None else origin_enu_m[2] - z,
+    )
+    return Setpoint(t_ns, pos, (east, north, None if down is None else -down), *heading(fields))
