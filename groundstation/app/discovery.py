@@ -27,7 +27,6 @@ from groundstation.mission.plan.schema import VEHICLE_IDS
 _HELLO_NS = 500_000_000
 _TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
 _ARMED_FLAG = 0x80
-_PROFILES = {"px4": "px4_quad", "arducopter": "arducopter"}
 _STALE_NS = 3_000_000_000
 _FOUND_MAX = 1_000
 _PEERS_MAX = 16
@@ -229,7 +228,6 @@ class Discovery:
         first = next((found.place_deg_m for found in known if found.place_deg_m is not None), None)
         entries = []
         for found in known:
-            name = found.autopilot.name if found.autopilot else ""
             pad = [0.0, 0.0, 0.0]
             if first is not None and found.place_deg_m is not None:
                 east, north, _ = pymap3d.geodetic2enu(*found.place_deg_m, *first)
@@ -238,8 +236,8 @@ class Discovery:
                 {
                     "id": found.sysid,
                     "link": self._addresses[found.link].url,
-                    "autopilot": name,
-                    "profile": _PROFILES.get(name, "px4_quad"),
+                    "autopilot": found.autopilot.name if found.autopilot else "",
+                    "profile": found.autopilot.profile if found.autopilot else "px4_quad",
                     "pad_m": pad,
                     "origin": "gps" if found.place_deg_m is not None else "pad",
                 }

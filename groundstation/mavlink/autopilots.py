@@ -44,6 +44,8 @@ class Autopilot(ABC):
 
     name: str
     mav_autopilot: int
+    profile: str
+    """What a vehicle of half a metre under it flies like (``mission.plan.profiles``), where nobody has said."""
     takes_origin = False
     """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
     chatter: tuple[str, ...] = ()
@@ -155,6 +157,7 @@ class Px4(Autopilot):
 
     name = "px4"
     mav_autopilot = 12  # MAV_AUTOPILOT_PX4
+    profile = "px4_quad"
     takes_origin = True
     params_bytewise = True
     estimator_message = "ESTIMATOR_STATUS"
@@ -232,6 +235,7 @@ class ArduCopter(Autopilot):
 
     name = "arducopter"
     mav_autopilot = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
+    profile = "arducopter"
     estimator_message = "EKF_STATUS_REPORT"
     oldest, tried = (4, 0), (4, 3)
     failsafes = ArduCopterFailsafes()

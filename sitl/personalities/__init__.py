@@ -1,7 +1,7 @@
 """The autopilots that can be emulated: one folder each, which is found by being here.
 
-A folder is a package of the autopilot's name whose ``PERSONALITY`` is its record (``sitl.personality``). Nothing else in the program names a
-kind of autopilot that is emulated; the tables below are put together from the records.
+A folder is a package of the autopilot's name whose ``PERSONALITY`` is its record (``sitl.personality``). Nothing else
+in the program names a kind of autopilot that is emulated; the tables below are put together from the records.
 """
 
 from __future__ import annotations

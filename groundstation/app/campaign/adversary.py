@@ -23,9 +23,12 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 from groundstation.design.store import load_formation
+from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.profiles import PROFILES
 from groundstation.mission.plan.reading import load_mission
 from sitl.faults import Fault
+from sitl.personalities import PERSONALITIES
 
 _TRIES = 200
 _PACKAGED = {
@@ -318,18 +321,18 @@ class _Draft:
 
     def _vehicles(self, pads: FloatArray) -> list[dict[str, Any]]:
         ids = np.sort(self._rng.permutation(np.arange(1, 251))[: self.n]).tolist()
-        both = self._pick((("px4",), ("arducopter",), ("px4", "arducopter")))
+        known = tuple(name for name in AUTOPILOTS if name in PERSONALITIES)
+        mixed = self._pick((*((name,) for name in known), known))
         links = self._pick((1, 1, 2))
         vehicles = []
         for number, (sysid, pad) in enumerate(zip(ids, pads.tolist(), strict=True)):
-            autopilot = both[number % len(both)]
-            slow = "px4_quad" if autopilot == "px4" else "arducopter"
+            autopilot = mixed[number % len(mixed)]
             vehicles.append(
                 {
                     "id": sysid,
                     "link": f"udpin://127.0.0.1:{14540 + number % links}",
                     "autopilot": autopilot,
-                    "profile": slow if self.outdoors else "crazyflie",
+                    "profile": AUTOPILOTS[autopilot].profile if self.outdoors else "crazyflie",
                     "pad_m": pad,
                     "origin": "gps" if self.outdoors else "pad",
                 }
@@ -338,14 +341,13 @@ class _Draft:
 
     def _beliefs(self, vehicles: list[dict[str, Any]]) -> dict[str, Any]:
         """Profiles with a lag and a delay that are not the vehicles' own."""
-        lags = {"crazyflie": (0.2, 0.05), "px4_quad": (1.0, 0.1), "arducopter": (0.9, 0.1)}
         profiles = {}
         for like in sorted({vehicle["profile"] for vehicle in vehicles}):
-            lag_s, delay_s = lags[like]
+            own = PROFILES[like]
             profiles[f"told_{like}"] = {
                 "like": like,
-                "lag_s": round(lag_s * self._between(0.8, 1.3), 3),
-                "delay_s": round(delay_s * self._between(0.8, 1.5), 3),
+                "lag_s": round(own.lag_s * self._between(0.8, 1.3), 3),
+                "delay_s": round(own.delay_s * self._between(0.8, 1.5), 3),
             }
         for vehicle in vehicles:
             vehicle["profile"] = f"told_{vehicle['profile']}"
