@@ -108,26 +108,44 @@ def _free(folder: Path, name: str) -> Path:
 
 
 def fly_dry(
-    out: Output, plan: MissionPlan, log_path: Path, faults: Sequence[Fault], *, seed: int, realtime: bool
+    out: Output,
+    plan: MissionPlan,
+    log_path: Path | None,
+    faults: Sequence[Fault],
+    *,
+    seed: int,
+    realtime: bool,
+    watch: Callable[[Session, int, World], None] | None = None,
 ) -> dict[str, Any]:
-    """Flies the emulator in virtual time."""
+    """Flies the emulator in virtual time.
+
+    Args:
+        out: shows the flight.
+        plan: what to fly.
+        log_path: where to record; None for nowhere.
+        faults: that strike.
+        seed: of the emulator's noise.
+        realtime: hold it to the wall clock.
+        watch: somebody else's program looks on after every tick, and Ctrl-C is its own.
+    """
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
-    recorded = LogPlan(log_path, versions(), seed, dry_run=True, replace=True)
+    recorded = None if log_path is None else LogPlan(log_path, versions(), seed, dry_run=True, replace=True)
     with ExitStack() as stack:
         flight = open_flight(stack, plan, log=recorded, make=Session)
         session, gate = flight.session, flight.gate
         interrupts = Interrupts()
         with ExitStack() as at_the_desk:
-            at_the_desk.enter_context(interrupts.listening())
+            if watch is None:
+                at_the_desk.enter_context(interrupts.listening())
             # A dry run in virtual time is over before anybody could say anything.
-            controls, prompt = _controls(at_the_desk, session, log_path) if realtime else ((), None)
+            controls, prompt = _controls(at_the_desk, session, log_path) if realtime and log_path else ((), None)
             display = at_the_desk.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
                 world,
                 period_ns=period_ns(plan),
-                watchers=(display, meter),
+                watchers=(display, meter, *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),))),
                 interrupts=interrupts,
                 pace=wall_clock_pace() if realtime else None,
                 controls=controls,
@@ -170,9 +188,9 @@ def _complete(log: TlogWriter | None) -> bool:
     return log is not None and log.problem is None
 
 
-def _finish(out: Output, log_path: Path, manifest: Manifest | None, ended: Mapping[str, Any]) -> None:
+def _finish(out: Output, log_path: Path | None, manifest: Manifest | None, ended: Mapping[str, Any]) -> None:
     """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
-    if manifest is None:
+    if manifest is None or log_path is None:
         return
     try:
         write_manifest(manifest_path(log_path), manifest.finished(ended))
@@ -231,7 +249,7 @@ def fly_vehicles(
     return values | {"beside": record}
 
 
-def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any]:
+def _values(session: Session, log_path: Path | None, seed: int | None) -> dict[str, Any]:
     """The figures of a flight, as the command line promises them; distances as the vehicles reported them.
 
     The caller adds ``log_complete`` when the log is closed.
@@ -262,7 +280,7 @@ def _values(session: Session, log_path: Path, seed: int | None) -> dict[str, Any
         "deadline_misses": figures.deadline_misses,
         "duration_s": figures.flight_time_s,
         "wall_s": None,
-        "log": str(log_path),
+        "log": None if log_path is None else str(log_path),
         "seed": seed,
     }
 

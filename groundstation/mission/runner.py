@@ -71,6 +71,11 @@ class Runner(Told):
             if rates.limited:
                 self._team.verdict.note("info", rates.words(plan.links[link], plan.link_of_vehicle.count(link)))
 
+    @property
+    def sent_ned_m_s(self) -> FloatArray:
+        """Velocities of the last tick, shape (n, 3): zero for whoever stands still or gets none."""
+        return self._sent_ned_m_s.copy()
+
     # What comes in
 
     def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
