@@ -16,7 +16,8 @@ from rich.text import Text
 
 from groundstation.app.output import Output
 from groundstation.mavlink.addresses import LinkAddress
-from groundstation.mavlink.autopilots import AUTOPILOTS, Autopilot
+from groundstation.mavlink.autopilot import Autopilot
+from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mavlink.clocks import BootTimes
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
 from groundstation.mavlink.kinds import kind_of, type_words, unflown_words

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mavlink.autopilots import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
+from groundstation.mavlink.autopilot import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
 from groundstation.mavlink.blocks import Block, merge
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, Piece, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.autopilots import CMD_COMPONENT_ARM_DISARM, CMD_DO_SET_MODE, CMD_NAV_LAND, CMD_NAV_TAKEOFF
+from groundstation.mavlink.autopilot import CMD_COMPONENT_ARM_DISARM, CMD_DO_SET_MODE, CMD_NAV_LAND, CMD_NAV_TAKEOFF
 from groundstation.mavlink.codec import Frame, decode, message_id
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet

@@ -13,7 +13,7 @@ from typing import Any
 from groundstation.core.formation import Formation
 from groundstation.core.regions import SafetyRegion, build_region
 from groundstation.core.types import FloatArray
-from groundstation.mavlink.autopilots import Autopilot
+from groundstation.mavlink.autopilot import Autopilot
 from groundstation.mission.plan.limits import Limits
 from groundstation.mission.plan.links import LinkPlan
 from groundstation.mission.plan.own_code import OwnCode

@@ -1,0 +1,1 @@
+"""One half of it, found by whoever looks into this folder."""
