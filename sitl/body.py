@@ -52,7 +52,9 @@ class Body:
 
     def __init__(self, state: State, index: int, radio: Radio, streamed: Container[str]) -> None:
         self._state, self.index, self._radio, self._streamed = state, index, radio, streamed
-        self._dynamics = state.dynamics
+        dynamics = state.dynamics
+        self._motion, self._commands = dynamics.motion, dynamics.commands
+        self._health, self._ground = dynamics.health, dynamics.ground
         self.profile: Profile = state.profiles[index]
         self.signing: VehicleSigning = state.signing[index]
         self.geodesy: Geodesy = state.geodesy
@@ -76,13 +78,13 @@ class Body:
     def pos_enu_m(self) -> Place:
         """Believed position in the world's frame."""
         i = self.index
-        x, y, z = (self._dynamics.pos_enu_m[:, i] + self._state.estimator.pos_error[:, i]).tolist()
+        x, y, z = (self._motion.pos_enu_m[:, i] + self._state.estimator.pos_error[:, i]).tolist()
         return x, y, z
 
     @property
     def yaw_enu_rad(self) -> float:
         """Heading from east counter-clockwise."""
-        return float(self._dynamics.yaw_enu_rad[self.index])
+        return float(self._motion.yaw_enu_rad[self.index])
 
     @property
     def has_gps(self) -> bool:
@@ -125,7 +127,7 @@ class Body:
         state, i = self._state, self.index
         state.has_origin[i] = True
         if place_enu_m is None:
-            place_enu_m = self._dynamics.pos_enu_m[:, i] + state.estimator.origin_error_enu_m[:, i]
+            place_enu_m = self._motion.pos_enu_m[:, i] + state.estimator.origin_error_enu_m[:, i]
         state.origin_enu_m[:, i] = place_enu_m
 
     def set_home(self, place_enu_m: Sequence[float] | Array) -> None:
@@ -144,40 +146,40 @@ class Body:
     @property
     def on_ground(self) -> bool:
         """Whether it touches the ground."""
-        return bool(self._dynamics.on_ground[self.index])
+        return bool(self._motion.on_ground[self.index])
 
     @property
     def ground_m(self) -> float:
         """Height of the ground beneath it, in the world's frame."""
-        return float(self._dynamics.ground_m[self.index])
+        return float(self._ground.height_m[self.index])
 
     @property
     def above_ground_m(self) -> float:
         """Height above it."""
-        return float(self._dynamics.pos_enu_m[2, self.index]) - self.ground_m
+        return float(self._motion.pos_enu_m[2, self.index]) - self.ground_m
 
     @property
     def thrust_m_s2(self) -> float:
         """Thrust over mass."""
-        return float(self._dynamics.thrust_m_s2[self.index])
+        return float(self._motion.thrust_m_s2[self.index])
 
     @property
     def flying(self) -> bool:
         """Whether the motors lift."""
-        return bool(self._dynamics.flying[self.index])
+        return bool(self._commands.flying[self.index])
 
     @flying.setter
     def flying(self, lift: bool) -> None:
-        self._dynamics.flying[self.index] = lift
+        self._commands.flying[self.index] = lift
 
     def stop_motors(self) -> None:
         """Ends their thrust at once."""
         self.flying = False
-        self._dynamics.thrust_m_s2[self.index] *= 0.0
+        self._motion.thrust_m_s2[self.index] *= 0.0
 
     def power_motors(self, powered: bool) -> None:
         """Gives the motors what they can take, or nothing."""
-        self._dynamics.thrust_share[self.index] = self._state.motor_share[self.index] if powered else 0.0
+        self._health.thrust_share[self.index] = self._state.motor_share[self.index] if powered else 0.0
 
     def command(
         self,
@@ -187,31 +189,31 @@ class Body:
         yaw_rate_rad_s: float | None = None,
     ) -> None:
         """Tells it what to fly; on each axis a position, a velocity, or both (then it is feed-forward)."""
-        dynamics, i = self._dynamics, self.index
+        commands, i = self._commands, self.index
         for axis in range(3):
             pos, vel = pos_enu_m[axis], vel_enu_m_s[axis]
-            dynamics.vel_sp_enu_m_s[axis, i] = 0.0 if vel is None else vel
+            commands.vel_sp_enu_m_s[axis, i] = 0.0 if vel is None else vel
             if pos is None:
-                dynamics.pos_mask[axis, i] = 0.0
+                commands.pos_mask[axis, i] = 0.0
             else:
-                dynamics.pos_mask[axis, i] = 1.0
-                dynamics.pos_sp_enu_m[axis, i] = pos
-                dynamics.positions_used = True
+                commands.pos_mask[axis, i] = 1.0
+                commands.pos_sp_enu_m[axis, i] = pos
+                commands.positions_used = True
         if yaw_rate_rad_s is not None:
-            dynamics.yaw_mask[i] = False
-            dynamics.yaw_rate_sp_rad_s[i] = yaw_rate_rad_s
-            dynamics.yaw_used = True
+            commands.yaw_mask[i] = False
+            commands.yaw_rate_sp_rad_s[i] = yaw_rate_rad_s
+            commands.yaw_used = True
         elif yaw_enu_rad is not None:
-            dynamics.yaw_mask[i] = True
-            dynamics.yaw_sp_enu_rad[i] = yaw_enu_rad
-            dynamics.yaw_used = True
-        elif not dynamics.yaw_mask[i]:
-            dynamics.yaw_mask[i] = True
-            dynamics.yaw_sp_enu_rad[i] = dynamics.yaw_enu_rad[i]
+            commands.yaw_mask[i] = True
+            commands.yaw_sp_enu_rad[i] = yaw_enu_rad
+            commands.yaw_used = True
+        elif not commands.yaw_mask[i]:
+            commands.yaw_mask[i] = True
+            commands.yaw_sp_enu_rad[i] = self._motion.yaw_enu_rad[i]
 
     def limit_speed(self, xy_m_s: float | None = None, up: float | None = None, down: float | None = None) -> None:
         """Sets the limits of the position loop; None takes the profile's."""
-        profile, limits = self.profile, self._dynamics.speed_limit_m_s
+        profile, limits = self.profile, self._commands.speed_limit_m_s
         limits[0, self.index] = min(xy_m_s or math.inf, profile.speed_xy_max_m_s)
         limits[1, self.index] = min(up or math.inf, profile.speed_up_max_m_s)
         limits[2, self.index] = min(down or math.inf, profile.speed_down_max_m_s)

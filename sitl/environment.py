@@ -1,15 +1,19 @@
-"""The air around the vehicles: wind with gusts, and the downwash of one rotor disc on whoever flies below.
+"""The air around the vehicles: drag, wind with gusts, and the downwash of one rotor disc on whoever flies below.
 
-Refuses to know vehicles: positions and thrusts in, air velocities and accelerations out. Both are options.
+Positions, velocities and thrusts in, accelerations out. Wind and downwash are options.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from sitl.frames import Array
+from sitl.loops import VelocityLoop
+from sitl.motion import Motion
+from sitl.profiles import Profile, column
 
 _BLOCK = 256
 
@@ -84,3 +88,57 @@ class Downwash:
         jet = 2.0 * (self._induced * np.sqrt(np.maximum(thrust_m_s2, 0.0)))[:, None] * self._radius[:, None] / width
         jet = jet * np.exp(-sideways2 / (width * width)) * (above > 0.05)
         return np.asarray(jet.sum(axis=0) * self._response)
+
+
+class Air:
+    """What the air does to n vehicles: it resists, and pushes where there is wind or somebody flies above."""
+
+    def __init__(
+        self, profiles: Sequence[Profile], step_s: float, wind: Wind | None, downwash: Downwash | None
+    ) -> None:
+        n = len(profiles)
+        self._step_s, self._wind, self._downwash = step_s, wind, downwash
+        self._drag = column(profiles, "drag_per_s")
+        self._per_s, self._per_m = column(profiles, "air_per_s"), column(profiles, "air_per_m")
+        self._sticky = np.maximum(self._drag - self._per_s, 0.0)
+        self._calm_vel, self._calm_integral = np.zeros((3, n)), np.zeros((3, n))
+
+    def push(self, acc: Array, motion: Motion, ref: Array, loop: VelocityLoop) -> None:
+        """Adds what the air does to the accelerations, shape (3, n).
+
+        Args:
+            acc: changed.
+            motion: of the vehicles.
+            ref: velocities that they follow, shape (3, n).
+            loop: by which they do.
+        """
+        acc -= motion.vel_enu_m_s * self._drag
+        if self._wind is not None:
+            acc += self._blown(motion, ref, loop, self._wind.step())
+        if self._downwash is not None:
+            acc[2] -= self._downwash.acceleration(motion.pos_enu_m, motion.thrust_m_s2)
+
+    def rest(self) -> None:
+        """Forgets how they would have flown in still air."""
+        self._calm_vel[:] = 0.0
+        self._calm_integral[:] = 0.0
+
+    def _blown(self, motion: Motion, ref: Array, loop: VelocityLoop, air: Array) -> Array:
+        """What the wind adds to the acceleration in still air: nothing without any, shape (3, n).
+
+        The pull of the air past the vehicle takes the place of that of still air. Drag beyond what air can do belongs
+        to commanded motion alone, which a twin in still air follows: else it would hold a vehicle against gusts, as
+        nothing holds a real one.
+        """
+        vel = motion.vel_enu_m_s
+        past = air - vel
+        blown = (self._per_s + self._per_m * np.sqrt(np.add.reduce(past * past, axis=0))) * past
+        blown += (self._per_s + self._per_m * np.sqrt(np.add.reduce(vel * vel, axis=0))) * vel
+        error = ref - self._calm_vel
+        self._calm_integral += error * loop.ki_dt
+        self._calm_vel += (error * loop.kp + self._calm_integral - self._drag * self._calm_vel) * self._step_s
+        blown += self._sticky * (vel - self._calm_vel)
+        if motion.any_on_ground:
+            self._calm_vel *= ~motion.on_ground
+            self._calm_integral *= ~motion.on_ground
+        return np.asarray(blown)

@@ -135,7 +135,7 @@ class FaultDesk:
         elif kind == "battery_drain":
             pilot.battery.extra_per_s = sum(fault.number("percent_per_s") for fault in faults) / 100.0
         elif kind == "motor_failure":
-            state.dynamics.tumbling[i] = on
+            state.dynamics.health.tumble(i, on)
             state.motor_share[i] = min((fault.number("thrust_share") for fault in faults), default=1.0)
         elif kind == "arming_refused":
             pilot.deny_arming = on

@@ -257,7 +257,7 @@ def _vfr_hud(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out["climb"] = -vel[2]
     out["alt"] = view.geodetic[2][vehicles]
     out["heading"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0) % 360
-    out["throttle"] = np.clip(state.dynamics.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0, 100)
+    out["throttle"] = np.clip(state.dynamics.motion.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0, 100)
     return out
 
 
@@ -267,13 +267,13 @@ def _position_target_local_ned(state: State, _view: View, vehicles: IntArray) ->
     dynamics = state.dynamics
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["coordinate_frame"] = 1
-    target = dynamics.pos_sp_enu_m[:, vehicles] - state.origin_enu_m[:, vehicles]
-    held = dynamics.pos_mask[:, vehicles] > 0
+    target = dynamics.commands.pos_sp_enu_m[:, vehicles] - state.origin_enu_m[:, vehicles]
+    held = dynamics.commands.pos_mask[:, vehicles] > 0
     target = np.where(held, target, np.nan)
     out["x"], out["y"], out["z"] = target[1], target[0], -target[2]
-    vel = dynamics.vel_sp_enu_m_s[:, vehicles]
+    vel = dynamics.commands.vel_sp_enu_m_s[:, vehicles]
     out["vx"], out["vy"], out["vz"] = vel[1], vel[0], -vel[2]
-    out["yaw"] = math.pi / 2.0 - dynamics.yaw_sp_enu_rad[vehicles]
+    out["yaw"] = math.pi / 2.0 - dynamics.commands.yaw_sp_enu_rad[vehicles]
     return out
 
 
@@ -283,7 +283,7 @@ def _attitude_target(state: State, view: View, vehicles: IntArray) -> Structured
     out = rows_of("ATTITUDE_TARGET", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["thrust"] = np.clip(state.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    out["thrust"] = np.clip(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
     return out
 
 
@@ -294,7 +294,7 @@ def _distance_sensor(state: State, _view: View, vehicles: IntArray) -> Structure
     dynamics = state.dynamics
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["max_distance"], out["orientation"] = 10_000, 25  # cm; MAV_SENSOR_ROTATION_PITCH_270
-    height_m = dynamics.pos_enu_m[2, vehicles] - dynamics.ground_m[vehicles]
+    height_m = dynamics.motion.pos_enu_m[2, vehicles] - dynamics.ground.height_m[vehicles]
     out["current_distance"] = np.rint(np.clip(height_m * 100.0, 0.0, 10_000.0))
     return out
 
@@ -379,11 +379,11 @@ def _hil_state_quaternion(state: State, _view: View, vehicles: IntArray) -> Stru
     dynamics = state.dynamics
     out["time_usec"] = times_us(state, vehicles)
     out["attitude_quaternion"] = state.true_quat()[:, vehicles].T
-    lat, lon, alt = state.geodesy.geodetic_from_enu(dynamics.pos_enu_m[:, vehicles])
+    lat, lon, alt = state.geodesy.geodetic_from_enu(dynamics.motion.pos_enu_m[:, vehicles])
     out["lat"], out["lon"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["alt"] = np.rint(alt * 1000.0)
-    vel = np.clip(dynamics.vel_enu_m_s[:, vehicles] * 100.0, -32767, 32767)
+    vel = np.clip(dynamics.motion.vel_enu_m_s[:, vehicles] * 100.0, -32767, 32767)
     out["vx"], out["vy"], out["vz"] = np.rint(vel[1]), np.rint(vel[0]), np.rint(-vel[2])
-    acc = np.clip(dynamics.acc_enu_m_s2[:, vehicles] / 9.80665 * 1000.0, -32767, 32767)
+    acc = np.clip(dynamics.motion.acc_enu_m_s2[:, vehicles] / 9.80665 * 1000.0, -32767, 32767)
     out["xacc"], out["yacc"], out["zacc"] = np.rint(acc[1]), np.rint(acc[0]), np.rint(-acc[2])
     return out

@@ -34,7 +34,7 @@ def _raw_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
 def _scaled_pressure(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SCALED_PRESSURE", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
-    alt = state.dynamics.pos_enu_m[2, vehicles] + state.config.home_alt_m
+    alt = state.dynamics.motion.pos_enu_m[2, vehicles] + state.config.home_alt_m
     out["press_abs"] = 1013.25 * (1.0 - 2.25577e-5 * alt) ** 5.25588
     out["temperature"] = 2500
     return out
@@ -61,7 +61,9 @@ def _nav_controller_output(state: State, view: View, vehicles: IntArray) -> Stru
     roll, pitch, yaw = view.euler_rad
     out["nav_roll"], out["nav_pitch"] = np.degrees(roll[vehicles]), np.degrees(pitch[vehicles])
     out["nav_bearing"] = np.rint(np.degrees(yaw[vehicles]))
-    error = (state.dynamics.pos_sp_enu_m - state.dynamics.pos_enu_m)[:, vehicles] * state.dynamics.pos_mask[:, vehicles]
+    dynamics = state.dynamics
+    error = (dynamics.commands.pos_sp_enu_m - dynamics.motion.pos_enu_m)[:, vehicles]
+    error *= dynamics.commands.pos_mask[:, vehicles]
     out["wp_dist"] = np.minimum(np.hypot(error[0], error[1]), 65535)
     out["alt_error"] = error[2]
     return out
@@ -71,7 +73,7 @@ def _nav_controller_output(state: State, view: View, vehicles: IntArray) -> Stru
 def _servo_output_raw(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SERVO_OUTPUT_RAW", vehicles)
     out["time_usec"] = times_us(state, vehicles) & 0xFFFFFFFF
-    share = np.clip(state.dynamics.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    share = np.clip(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
     for k in range(1, 5):
         out[f"servo{k}_raw"] = np.rint(1000.0 + 1000.0 * share)
     return out
@@ -91,6 +93,6 @@ def _rc_channels(state: State, _view: View, vehicles: IntArray) -> StructuredArr
 def _vibration(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("VIBRATION", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    share = state.dynamics.thrust_m_s2[vehicles] / 9.80665
+    share = state.dynamics.motion.thrust_m_s2[vehicles] / 9.80665
     out["vibration_x"] = out["vibration_y"] = out["vibration_z"] = 3.0 * share
     return out

@@ -7,7 +7,12 @@ simulate: ``dynamics`` does.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from sitl.frames import Array
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,16 @@ class Profile:
     crawl_below_m: float = 0.0
     crawl_m_s: float = 0.3
     clock_rate: float = 1.0
+
+
+def column(profiles: Sequence[Profile], name: str) -> Array:
+    """One number of all vehicles, shape (n,)."""
+    return np.array([getattr(profile, name) for profile in profiles], dtype=np.float64)
+
+
+def columns(profiles: Sequence[Profile], x: str, y: str, z: str) -> Array:
+    """One number for each axis, shape (3, n)."""
+    return np.stack([column(profiles, name) for name in (x, y, z)])
 
 
 CRAZYFLIE = Profile(

@@ -112,8 +112,8 @@ class State:
 
     def true_quat(self) -> Array:
         """True attitude, FRD to NED, shape (4, n)."""
-        yaw = frames.yaw_ned_from_enu(self.dynamics.yaw_enu_rad)
-        return frames.quat_from_euler(*frames.euler_from_thrust(self.dynamics.up_enu, yaw), yaw)
+        yaw = frames.yaw_ned_from_enu(self.dynamics.motion.yaw_enu_rad)
+        return frames.quat_from_euler(*frames.euler_from_thrust(self.dynamics.motion.up_enu, yaw), yaw)
 
     def power_off(self, index: int) -> None:
         """Forgets what a vehicle loses with its power."""

@@ -28,7 +28,7 @@ class View:
     def pos_enu_m(self) -> Array:
         """Believed position in the world's frame, white part included, shape (3, n)."""
         state = self.state
-        believed = state.dynamics.pos_enu_m + state.estimator.pos_error + state.estimator.white()
+        believed = state.dynamics.motion.pos_enu_m + state.estimator.pos_error + state.estimator.white()
         if state.frozen.any():
             believed = np.where(state.frozen, state.frozen_pos_enu_m, believed)
         if state.invalid.any():
@@ -39,7 +39,7 @@ class View:
     def vel_enu_m_s(self) -> Array:
         """Believed velocity, shape (3, n)."""
         state = self.state
-        believed = state.dynamics.vel_enu_m_s + state.estimator.vel_error
+        believed = state.dynamics.motion.vel_enu_m_s + state.estimator.vel_error
         if state.frozen.any():
             believed = np.where(state.frozen, 0.0, believed)
         if state.invalid.any():
@@ -60,10 +60,10 @@ class View:
     def euler_rad(self) -> tuple[Array, Array, Array]:
         """Roll, pitch, yaw of FRD to NED as estimated, shape (n,) each."""
         dynamics, error = self.state.dynamics, self.state.estimator.att_error
-        up = dynamics.up_enu.copy()
+        up = dynamics.motion.up_enu.copy()
         up[:2] += error[:2]
         up /= np.sqrt((up * up).sum(axis=0))
-        yaw = frames.yaw_ned_from_enu(dynamics.yaw_enu_rad + error[2])
+        yaw = frames.yaw_ned_from_enu(dynamics.motion.yaw_enu_rad + error[2])
         roll, pitch = frames.euler_from_thrust(up, yaw)
         return roll, pitch, yaw
 
@@ -76,8 +76,8 @@ class View:
     def rates_frd_rad_s(self) -> Array:
         """Body rates, shape (3, n)."""
         dynamics = self.state.dynamics
-        a, b = dynamics.up_enu, dynamics.up_rate
-        omega = a * dynamics.yaw_rate_rad_s
+        a, b = dynamics.motion.up_enu, dynamics.motion.up_rate
+        omega = a * dynamics.motion.yaw_rate_rad_s
         omega[0] += a[1] * b[2] - a[2] * b[1]
         omega[1] += a[2] * b[0] - a[0] * b[2]
         omega[2] += a[0] * b[1] - a[1] * b[0]
@@ -86,7 +86,7 @@ class View:
     @cached_property
     def specific_force_frd_m_s2(self) -> Array:
         """What an accelerometer feels: acceleration minus gravity, shape (3, n)."""
-        force = self.state.dynamics.acc_enu_m_s2.copy()
+        force = self.state.dynamics.motion.acc_enu_m_s2.copy()
         force[2] += 9.80665
         return frames.frd_from_ned(self.quat_ned_from_frd, frames.ned_from_enu(force))
 

@@ -183,10 +183,10 @@ class World:
         """A copy of the true state."""
         dynamics = self.dynamics
         return Truth(
-            pos_enu_m=dynamics.pos_enu_m.T.copy(),
-            vel_enu_m_s=dynamics.vel_enu_m_s.T.copy(),
+            pos_enu_m=dynamics.motion.pos_enu_m.T.copy(),
+            vel_enu_m_s=dynamics.motion.vel_enu_m_s.T.copy(),
             quat_ned_from_frd=self.state.true_quat().T.copy(),
-            airborne=dynamics.airborne(),
+            airborne=dynamics.motion.airborne(),
             armed=np.array([pilot.armed for pilot in self.autopilots]),
         )
 
@@ -232,7 +232,7 @@ class World:
         fresh = self._power_up(index)
         fresh.params, fresh.mission, fresh.battery = pilot.params, pilot.mission, pilot.battery
         fresh.deny_arming, fresh.ignore_commands = pilot.deny_arming, pilot.ignore_commands
-        fresh.landed = bool(self.dynamics.on_ground[index])
+        fresh.landed = bool(self.dynamics.motion.on_ground[index])
         self.autopilots[index] = fresh
 
     # -- one step -----------------------------------------------------------------------------------------------
@@ -243,8 +243,8 @@ class World:
         if state.now_ns >= self._faults.next_ns:
             self._faults.act(state.now_ns)
         state.dynamics.step()
-        if not state.dynamics.all_on_ground:
-            self._distances.note(state.dynamics.pos_enu_m, state.dynamics.airborne())
+        if not state.dynamics.motion.all_on_ground:
+            self._distances.note(state.dynamics.motion.pos_enu_m, state.dynamics.motion.airborne())
         while self._incoming and self._incoming[0].t_ns <= state.now_ns:
             self._hand_over(heapq.heappop(self._incoming))
         if state.now_ns >= self._next_tick_ns:

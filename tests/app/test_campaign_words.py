@@ -24,13 +24,13 @@ class Scene:
 
     def run(self, seconds: float, vehicle: int = 0, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         dynamics = self.world.dynamics
-        dynamics.vel_sp_enu_m_s[:, vehicle] = velocity
+        dynamics.commands.vel_sp_enu_m_s[:, vehicle] = velocity
         for _ in range(round(seconds * 50)):
             self.world.advance(self.world.now_ns + SECOND_NS // 50)
             self.witness.look(self.world.now_ns, self.world.min_distance_airborne_of_pairs_m)
 
     def lift(self, vehicle: int = 0) -> None:
-        self.world.dynamics.flying[vehicle] = True
+        self.world.dynamics.commands.flying[vehicle] = True
         self.run(2.5, vehicle, (0.0, 0.0, 0.5))
 
     def say(self, text: str) -> None:
@@ -70,12 +70,12 @@ def test_a_crash_that_nobody_is_told_of(said: str, kinds: set[str]) -> None:
     scene = Scene()
     scene.lift()
     scene.witness.upset(range(4))
-    scene.world.dynamics.tumbling[0] = True
-    scene.world.dynamics.flying[0] = False
+    scene.world.dynamics.health.tumble(0, True)
+    scene.world.dynamics.commands.flying[0] = False
     scene.run(0.2)
     scene.say(said)
     scene.run(2.0)
-    assert scene.world.dynamics.touchdown_m_s[0] > 3.0
+    assert scene.world.dynamics.motion.touchdown_m_s[0] > 3.0
     found = scene.verdict()
     assert _kinds(found) - {"pad_untold"} == kinds
     assert found.untold or not kinds
@@ -86,7 +86,7 @@ def test_what_was_said_long_before_is_no_word_about_a_fall() -> None:
     scene.lift()
     scene.say("vehicle 1: battery at 29%, warning below 30%")
     scene.run(7.0)
-    scene.world.dynamics.flying[0] = False
+    scene.world.dynamics.commands.flying[0] = False
     scene.run(2.0)
     found = scene.verdict("completed", "")
     assert {"crash_untold", "completed_untrue"} <= _kinds(found)
@@ -145,7 +145,7 @@ def test_the_order_to_land_all_is_a_word_about_everybodys_place() -> None:
     scene.lift()
     scene.run(2.0, 0, (-0.5, 0.0, 0.0))
     scene.run(6.0, 0, (0.0, 0.0, -0.5))
-    assert np.linalg.norm(scene.world.dynamics.pos_enu_m[:2, 0] - scene.plan.pads_enu_m[0, :2]) > 0.8
+    assert np.linalg.norm(scene.world.dynamics.motion.pos_enu_m[:2, 0] - scene.plan.pads_enu_m[0, :2]) > 0.8
     assert _kinds(scene.verdict()) == {"pad_untold"}
     scene.say("aborted: landed by the operator")
     assert _kinds(scene.verdict()) == set()

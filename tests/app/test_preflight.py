@@ -147,15 +147,15 @@ def test_fix_sets_once_and_finds_nothing_to_set_again() -> None:
 
 
 def _swap(world: World) -> None:
-    world.dynamics.pos_enu_m[:, [0, 1]] = world.dynamics.pos_enu_m[:, [1, 0]]
+    world.dynamics.motion.pos_enu_m[:, [0, 1]] = world.dynamics.motion.pos_enu_m[:, [1, 0]]
 
 
 def _one_moved(world: World) -> None:
-    world.dynamics.pos_enu_m[:, 0] = world.dynamics.pos_enu_m[:, 1] + np.array([0.0, 0.5, 0.0])
+    world.dynamics.motion.pos_enu_m[:, 0] = world.dynamics.motion.pos_enu_m[:, 1] + np.array([0.0, 0.5, 0.0])
 
 
 def _close_up(world: World) -> None:
-    world.dynamics.pos_enu_m[0] *= 0.2
+    world.dynamics.motion.pos_enu_m[0] *= 0.2
 
 
 def _battery(left: float) -> Callable[[World], None]:

@@ -36,9 +36,9 @@ class Truth:
         self.apart_m = np.full((world.n, world.n), np.inf)
 
         def watched() -> None:
-            flew, sank_m_s = dynamics.airborne(), -dynamics.vel_enu_m_s[2]
+            flew, sank_m_s = dynamics.motion.airborne(), -dynamics.motion.vel_enu_m_s[2]
             step()
-            up, places = dynamics.airborne(), dynamics.pos_enu_m.T
+            up, places = dynamics.motion.airborne(), dynamics.motion.pos_enu_m.T
             self.hit_m_s = max(self.hit_m_s, float(sank_m_s[flew & ~up].max(initial=0.0)))
             if up.any():
                 apart_m = np.linalg.norm(places[:, None] - places[None], axis=2)

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from sitl.dynamics import GRAVITY_M_S2, Dynamics
+from sitl.dynamics import Dynamics
 from sitl.environment import Downwash, Wind
 from sitl.estimator import GPS, MOCAP, NOISELESS, Estimator, Noise
+from sitl.loops import GRAVITY_M_S2
 from sitl.personalities import PROFILES
 
 STEP_S = 0.004
@@ -32,10 +33,10 @@ def flying(
         wind=wind,
         downwash=downwash,
     )
-    dynamics.flying[:] = True
-    dynamics.vel_sp_enu_m_s[2] = 1.0
+    dynamics.commands.flying[:] = True
+    dynamics.commands.vel_sp_enu_m_s[2] = 1.0
     run(dynamics, 3.0)
-    dynamics.vel_sp_enu_m_s[2] = 0.0
+    dynamics.commands.vel_sp_enu_m_s[2] = 0.0
     run(dynamics, 5.0)
     return dynamics
 
@@ -45,13 +46,13 @@ def run(dynamics: Dynamics, seconds: float) -> np.ndarray:
     out = np.empty((round(seconds / STEP_S), 3, dynamics.n))
     for k in range(len(out)):
         dynamics.step()
-        out[k] = dynamics.vel_enu_m_s
+        out[k] = dynamics.motion.vel_enu_m_s
     return out
 
 
 def step_response(name: str, speed_m_s: float, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
     dynamics = flying(name)
-    dynamics.vel_sp_enu_m_s[axis] = speed_m_s
+    dynamics.commands.vel_sp_enu_m_s[axis] = speed_m_s
     velocity = run(dynamics, 6.5)[:, axis, 0]
     return (np.arange(len(velocity)) + 1) * STEP_S, velocity
 
@@ -81,25 +82,25 @@ def test_crazyflie_hardly_moves_within_its_delay_and_follows_like_a_first_order_
 
 def test_hover_is_level_and_its_thrust_is_the_weight() -> None:
     dynamics = flying(*PROFILES)
-    assert dynamics.up_enu[2] == pytest.approx(np.ones(len(PROFILES)), abs=1e-6)
-    assert dynamics.thrust_m_s2 == pytest.approx(np.full(len(PROFILES), GRAVITY_M_S2), rel=3e-3)
-    assert np.abs(dynamics.acc_enu_m_s2).max() < 0.01
+    assert dynamics.motion.up_enu[2] == pytest.approx(np.ones(len(PROFILES)), abs=1e-6)
+    assert dynamics.motion.thrust_m_s2 == pytest.approx(np.full(len(PROFILES), GRAVITY_M_S2), rel=3e-3)
+    assert np.abs(dynamics.motion.acc_enu_m_s2).max() < 0.01
 
 
 def test_tilt_produces_the_acceleration() -> None:
     dynamics = flying(*PROFILES)
-    dynamics.vel_sp_enu_m_s[0], dynamics.vel_sp_enu_m_s[1] = 1.0, -0.5
+    dynamics.commands.vel_sp_enu_m_s[0], dynamics.commands.vel_sp_enu_m_s[1] = 1.0, -0.5
     tilted = 0.0
     for _ in range(500):
-        before = dynamics.vel_enu_m_s.copy()
+        before = dynamics.motion.vel_enu_m_s.copy()
         dynamics.step()
         drag = np.array([PROFILES[name].drag_per_s for name in PROFILES]) * before
         weight = np.array([[0.0], [0.0], [GRAVITY_M_S2]])
-        expected = dynamics.up_enu * dynamics.thrust_m_s2 - weight - drag
-        assert (dynamics.vel_enu_m_s - before) / STEP_S == pytest.approx(expected, abs=1e-9)
-        tilted = max(tilted, float(np.degrees(np.arccos(dynamics.up_enu[2])).max()))
+        expected = dynamics.motion.up_enu * dynamics.motion.thrust_m_s2 - weight - drag
+        assert (dynamics.motion.vel_enu_m_s - before) / STEP_S == pytest.approx(expected, abs=1e-9)
+        tilted = max(tilted, float(np.degrees(np.arccos(dynamics.motion.up_enu[2])).max()))
     assert tilted > 10.0
-    assert (np.linalg.norm(dynamics.up_enu, axis=0)) == pytest.approx(np.ones(len(PROFILES)), abs=1e-12)
+    assert (np.linalg.norm(dynamics.motion.up_enu, axis=0)) == pytest.approx(np.ones(len(PROFILES)), abs=1e-12)
 
 
 def test_tilt_and_thrust_stay_within_their_limits_under_wild_commands() -> None:
@@ -108,46 +109,47 @@ def test_tilt_and_thrust_stay_within_their_limits_under_wild_commands() -> None:
     tilt_max = np.array([PROFILES[name].tilt_max_rad for name in PROFILES])
     thrust_max = np.array([PROFILES[name].thrust_max_g for name in PROFILES]) * GRAVITY_M_S2
     for _ in range(40):
-        dynamics.vel_sp_enu_m_s[:] = rng.uniform(-50.0, 50.0, (3, len(PROFILES)))
+        dynamics.commands.vel_sp_enu_m_s[:] = rng.uniform(-50.0, 50.0, (3, len(PROFILES)))
         for _ in range(50):
             dynamics.step()
-            assert (np.arccos(np.clip(dynamics.up_enu[2], -1, 1)) <= tilt_max * 1.1).all()
-            assert (dynamics.thrust_m_s2 <= thrust_max * 1.0001).all()
-            assert (dynamics.pos_enu_m[2] >= 0.0).all()
+            assert (np.arccos(np.clip(dynamics.motion.up_enu[2], -1, 1)) <= tilt_max * 1.1).all()
+            assert (dynamics.motion.thrust_m_s2 <= thrust_max * 1.0001).all()
+            assert (dynamics.motion.pos_enu_m[2] >= 0.0).all()
 
 
 def test_standing_on_the_ground_nothing_moves_until_it_lifts() -> None:
     dynamics = flying("crazyflie")
-    dynamics.vel_sp_enu_m_s[2] = -1.0
-    dynamics.vel_sp_enu_m_s[0] = 0.3
+    dynamics.commands.vel_sp_enu_m_s[2] = -1.0
+    dynamics.commands.vel_sp_enu_m_s[0] = 0.3
     run(dynamics, 6.0)
-    assert dynamics.on_ground.all()
-    start = dynamics.pos_enu_m.copy()
+    assert dynamics.motion.on_ground.all()
+    start = dynamics.motion.pos_enu_m.copy()
     run(dynamics, 1.0)
-    assert (dynamics.pos_enu_m == start).all()
-    assert dynamics.up_enu[:, 0].tolist() == [0.0, 0.0, 1.0]
-    dynamics.flying[:] = False
-    dynamics.vel_sp_enu_m_s[2] = 1.0
+    assert (dynamics.motion.pos_enu_m == start).all()
+    assert dynamics.motion.up_enu[:, 0].tolist() == [0.0, 0.0, 1.0]
+    dynamics.commands.flying[:] = False
+    dynamics.commands.vel_sp_enu_m_s[2] = 1.0
     run(dynamics, 1.0)
-    assert (dynamics.pos_enu_m == start).all()
-    dynamics.flying[:] = True
+    assert (dynamics.motion.pos_enu_m == start).all()
+    dynamics.commands.flying[:] = True
     run(dynamics, 1.0)
-    assert dynamics.pos_enu_m[2, 0] > 0.5
+    assert dynamics.motion.pos_enu_m[2, 0] > 0.5
 
 
 def test_without_motors_it_falls_freely() -> None:
     dynamics = flying("crazyflie")
-    dynamics.flying[:] = False
-    dynamics.thrust_m_s2[:] = 0.0
+    dynamics.commands.flying[:] = False
+    dynamics.motion.thrust_m_s2[:] = 0.0
     fallen = run(dynamics, 0.4)[:, 2, 0]
     assert fallen[-1] == pytest.approx(-GRAVITY_M_S2 * 0.4, rel=0.06)  # less a little drag
 
 
 def test_a_failed_motor_brings_it_down() -> None:
     dynamics = flying("crazyflie", "crazyflie")
-    dynamics.tumbling[0], dynamics.thrust_share[0] = True, 0.6
+    dynamics.health.tumble(0, True)
+    dynamics.health.thrust_share[0] = 0.6
     run(dynamics, 3.0)
-    assert dynamics.on_ground.tolist() == [True, False]
+    assert dynamics.motion.on_ground.tolist() == [True, False]
 
 
 def test_wind_pushes_and_the_integral_holds_against_it() -> None:
@@ -155,8 +157,8 @@ def test_wind_pushes_and_the_integral_holds_against_it() -> None:
     wind = Wind(mean_enu_m_s=(3.0, 0.0, 0.0), gust_sigma_m_s=0.0, gust_tau_s=2.0, n=1, step_s=STEP_S, rng=rng)
     dynamics = flying("px4_quad", wind=wind)
     run(dynamics, 20.0)
-    assert abs(float(dynamics.vel_enu_m_s[0, 0])) < 0.05
-    lean = math.degrees(math.atan2(-float(dynamics.up_enu[0, 0]), float(dynamics.up_enu[2, 0])))
+    assert abs(float(dynamics.motion.vel_enu_m_s[0, 0])) < 0.05
+    lean = math.degrees(math.atan2(-float(dynamics.motion.up_enu[0, 0]), float(dynamics.motion.up_enu[2, 0])))
     profile = PROFILES["px4_quad"]
     expected = math.degrees(math.atan(3.0 * (profile.air_per_s + 3.0 * profile.air_per_m) / GRAVITY_M_S2))
     assert lean == pytest.approx(expected, rel=0.05)  # it leans into the wind by what the drag asks for
@@ -174,8 +176,8 @@ def test_half_a_metre_leans_in_a_wind_of_8_m_s_as_such_vehicles_do_and_stands(na
     )
     dynamics = flying(name, wind=wind)
     run(dynamics, 30.0)
-    assert 10.0 < math.degrees(math.acos(float(dynamics.up_enu[2, 0]))) < 25.0
-    assert abs(float(dynamics.vel_enu_m_s[0, 0])) < 0.05
+    assert 10.0 < math.degrees(math.acos(float(dynamics.motion.up_enu[2, 0]))) < 25.0
+    assert abs(float(dynamics.motion.vel_enu_m_s[0, 0])) < 0.05
 
 
 def test_a_wind_of_nothing_changes_next_to_nothing() -> None:
@@ -189,7 +191,7 @@ def test_a_wind_of_nothing_changes_next_to_nothing() -> None:
     )
     names = ("px4_quad", "arducopter", "crazyflie")
     in_it, without = flying(*names, wind=still), flying(*names)
-    assert in_it.pos_enu_m == pytest.approx(without.pos_enu_m, abs=2e-3)
+    assert in_it.motion.pos_enu_m == pytest.approx(without.motion.pos_enu_m, abs=2e-3)
 
 
 def test_drag_that_only_a_simulator_has_does_not_hold_a_vehicle_against_gusts() -> None:
@@ -244,17 +246,17 @@ def test_estimation_noise_has_the_stated_size_and_memory() -> None:
 def test_with_gps_it_wanders_as_seen_at_zero_command() -> None:
     names = ["px4_quad"] * 16
     dynamics = flying(*names, noise=GPS)
-    start = dynamics.pos_enu_m.copy()
+    start = dynamics.motion.pos_enu_m.copy()
     run(dynamics, 60.0)
-    wandered = np.hypot(*(dynamics.pos_enu_m - start)[:2])
+    wandered = np.hypot(*(dynamics.motion.pos_enu_m - start)[:2])
     assert 1.0 < float(np.median(wandered)) < 2.5
 
 
 def test_mixed_profiles_do_not_touch_each_other() -> None:
     together = flying("px4_quad", "arducopter", "crazyflie")
-    together.vel_sp_enu_m_s[0] = 1.0
+    together.commands.vel_sp_enu_m_s[0] = 1.0
     both = run(together, 2.0)
     for k, name in enumerate(("px4_quad", "arducopter", "crazyflie")):
         alone = flying(name)
-        alone.vel_sp_enu_m_s[0] = 1.0
+        alone.commands.vel_sp_enu_m_s[0] = 1.0
         assert run(alone, 2.0)[:, :, 0] == pytest.approx(both[:, :, k], abs=1e-9)

@@ -337,7 +337,7 @@ def test_overlapping_faults_of_a_vehicle_last_until_the_last_one_ends() -> None:
         state = (
             here.state.frozen[0],
             here.state.invalid[0],
-            here.dynamics.tumbling[0],
+            here.dynamics.health.tumbling[0],
             pilot.deny_arming,
             pilot.ignore_commands,
         )
@@ -345,10 +345,10 @@ def test_overlapping_faults_of_a_vehicle_last_until_the_last_one_ends() -> None:
 
     ground.run(1.5)
     assert wrong() == [True] * 5
-    assert here.dynamics.thrust_share[0] == 0.6
+    assert here.dynamics.health.thrust_share[0] == 0.6
     ground.run(0.6)
     assert wrong() == [False] * 5
-    assert here.dynamics.thrust_share[0] == 1.0
+    assert here.dynamics.health.thrust_share[0] == 1.0
 
 
 def test_drains_add_up_and_end_one_by_one() -> None:

@@ -215,7 +215,7 @@ def test_no_frame_of_any_type_breaks_it(autopilot: str, seed: int, flying: bool)
     if flying:
         pilot.arm()
         pilot.body.flying = True
-        ground.world.dynamics.pos_enu_m[2, 0] = 3.0
+        ground.world.dynamics.motion.pos_enu_m[2, 0] = 3.0
         ground.run(0.1)
     for _ in range(60):
         shape = layout(message_name(int(rng.choice(list(pilot.messages)))) or "")
@@ -245,31 +245,31 @@ def test_pads_on_posts_carry_who_stands_on_them_and_can_be_drawn_in() -> None:
     dynamics = team.dynamics
 
     def fly(until_s: float, *velocities: tuple[float, float, float]) -> None:
-        dynamics.flying[:] = True
-        dynamics.vel_sp_enu_m_s[:] = np.array(velocities).T
+        dynamics.commands.flying[:] = True
+        dynamics.commands.vel_sp_enu_m_s[:] = np.array(velocities).T
         team.advance(round(until_s * 1e9))
 
     fly(2.0, (0.0, 0.0, 0.5), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
-    assert dynamics.pos_enu_m[2].tolist() == pytest.approx([2.9, 1.9, 0.0], abs=0.15)
+    assert dynamics.motion.pos_enu_m[2].tolist() == pytest.approx([2.9, 1.9, 0.0], abs=0.15)
     # The first comes down beside its post, to the floor; the second onto its own.
     fly(5.0, (0.5, 0.0, 0.0), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0))
     fly(13.0, (0.0, 0.0, -0.5), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0))
-    assert dynamics.pos_enu_m[2].tolist() == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
+    assert dynamics.motion.pos_enu_m[2].tolist() == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
     # Posts that are drawn in leave whoever stands on one standing; who has left it finds the floor.
-    dynamics.posts_up = False
+    dynamics.ground.posts_up = False
     fly(14.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert dynamics.pos_enu_m[2, 1] == pytest.approx(1.0, abs=0.01)
+    assert dynamics.motion.pos_enu_m[2, 1] == pytest.approx(1.0, abs=0.01)
     fly(15.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
     fly(21.0, (0.0, 0.0, 0.0), (0.0, 0.0, -0.5), (0.0, 0.0, 0.0))
-    assert dynamics.pos_enu_m[2, 1] == pytest.approx(0.0, abs=1e-6)
+    assert dynamics.motion.pos_enu_m[2, 1] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_whoever_comes_down_on_one_that_has_landed_is_seen_to() -> None:
     team = World(WorldConfig(vehicles=tuple(VehicleConfig(k + 1, pad_enu_m=(2.0 * k, 0.0, 0.0)) for k in range(2))), 1)
-    team.dynamics.flying[0] = True
+    team.dynamics.commands.flying[0] = True
 
     def fly(seconds: float, east: float, up: float) -> None:
-        team.dynamics.vel_sp_enu_m_s[:, 0] = (east, 0.0, up)
+        team.dynamics.commands.vel_sp_enu_m_s[:, 0] = (east, 0.0, up)
         team.advance(team.now_ns + round(seconds * 1e9))
 
     fly(3.0, 0.0, 0.5)
@@ -292,8 +292,8 @@ def test_smallest_distances_of_pairs_agree_with_the_smallest_of_all() -> None:
     )
     team = World(config, 1)
     assert np.isinf(team.min_distance_airborne_of_pairs_m()).all()
-    team.dynamics.flying[:2] = True
-    team.dynamics.vel_sp_enu_m_s[2] = 0.5
+    team.dynamics.commands.flying[:2] = True
+    team.dynamics.commands.vel_sp_enu_m_s[2] = 0.5
     team.advance(1_000_000_000)
     pairs = team.min_distance_airborne_of_pairs_m()
     assert pairs[0, 1] == pairs[1, 0] == team.min_distance_airborne_m < 1.1

@@ -161,7 +161,7 @@ class Ground:
         return results[0]
 
     def height(self, vehicle: int = 0) -> float:
-        return float(self.world.dynamics.pos_enu_m[2, vehicle])
+        return float(self.world.dynamics.motion.pos_enu_m[2, vehicle])
 
 
 def world(n: int = 1, **options: Any) -> WorldConfig:

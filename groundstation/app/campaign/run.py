@@ -195,7 +195,7 @@ class _Flown:
         if runner.phase is not self._phase:
             self._phase = runner.phase
             self._phases.append(runner.phase.value)
-            self._world.dynamics.posts_up = runner.phase in _ON_PADS  # nobody shall land on one while it flies
+            self._world.dynamics.ground.posts_up = runner.phase in _ON_PADS  # nobody shall land on one while it flies
         if self._upright:
             self._take_clearance()
         self._witness.look(now_ns, self._pairs_so_far)
@@ -272,7 +272,7 @@ class _Flown:
         self._take_distances()
         states = [self._state(i) for i in range(plan.size)]
         ended_safely = not late and all(state in ("down", "crashed", "failsafe") for state in states)
-        fell = self._world.dynamics.crashed | (self._world.dynamics.touchdown_m_s > TOUCHDOWN_MAX_M_S)
+        fell = self._world.dynamics.motion.crashed | (self._world.dynamics.motion.touchdown_m_s > TOUCHDOWN_MAX_M_S)
         unhurt = not bool((fell & ~self._unsteered).any())
         reason = f"not over after {setting.limit_s:g} s, in phase {runner.phase.value}" if late else runner.reason
         outcome = "late" if late else str(runner.outcome)
@@ -329,9 +329,9 @@ class _Flown:
     def _state(self, i: int) -> str:
         """How a vehicle ended, by the truth: down, crashed, failsafe, armed on the ground, or in the air."""
         world, pilot = self._world, self._world.autopilots[i]
-        if world.dynamics.crashed[i]:
+        if world.dynamics.motion.crashed[i]:
             return "crashed"
-        on_ground = bool(world.dynamics.on_ground[i])
+        on_ground = bool(world.dynamics.motion.on_ground[i])
         if on_ground and not pilot.armed:
             return "down"
         if getattr(pilot, "failsafe", None) is not None or pilot.mode_name() in _FAILSAFE_MODES:

@@ -108,17 +108,17 @@ class Witness:
 
     def look(self, now_ns: int, pairs_m: Callable[[], FloatArray]) -> None:
         """Looks at the truth of a tick; ``pairs_m`` gives the smallest distances of each pair so far, shape (n, n)."""
-        dynamics = self._world.dynamics
-        stands = dynamics.on_ground
+        motion = self._world.dynamics.motion
+        stands = motion.on_ground
         self._stands_since_ns = np.where(stands, np.where(self._stands_since_ns < 0, now_ns, self._stands_since_ns), -1)
-        for row in np.flatnonzero(dynamics.crashed | (dynamics.touchdown_m_s > TOUCHDOWN_MAX_M_S)).tolist():
+        for row in np.flatnonzero(motion.crashed | (motion.touchdown_m_s > TOUCHDOWN_MAX_M_S)).tolist():
             self._hit_ns.setdefault(row, now_ns)
         self._ticks += 1
         if self._ticks % _EVERY_TICKS == 0:
             self._take_pairs(now_ns, pairs_m())
 
     def _take_pairs(self, now_ns: int, pairs_m: FloatArray) -> None:
-        pos = self._world.dynamics.pos_enu_m.T
+        pos = self._world.dynamics.motion.pos_enu_m.T
         apart_m = np.linalg.norm(pos[:, None] - pos[None], axis=-1)
         limit_m = self._radius_m + self._plan.margin_m + _APART_SPARE_M
         self._last_near_ns[apart_m < limit_m] = now_ns
@@ -130,7 +130,7 @@ class Witness:
         world = self._world
         self._end_ns = now_ns
         armed = np.array([pilot.armed for pilot in world.autopilots], dtype=np.bool_)
-        self._at_end = (~world.dynamics.on_ground, armed)
+        self._at_end = (~world.dynamics.motion.on_ground, armed)
 
     def verdict(self, outcome: str, reason: str, pairs_m: FloatArray) -> Verdict:
         """Compares, after the world has come to rest.
@@ -157,7 +157,7 @@ class Witness:
     def _crashes(self) -> Iterable[str]:
         dynamics = self._world.dynamics
         for row, t_ns in sorted(self._hit_ns.items()):
-            speed = float(dynamics.touchdown_m_s[row])
+            speed = float(dynamics.motion.touchdown_m_s[row])
             what = f"vehicle {self._id(row)} hit the ground at {speed:.1f} m/s at {t_ns / _SECOND_NS:.1f} s"
             if not self._told((row,), t_ns - _BEFORE_NS):
                 self._add("crash_untold", what)
@@ -186,7 +186,7 @@ class Witness:
                 yield what
 
     def _far(self) -> Iterable[str]:
-        off_m = np.linalg.norm((self._world.dynamics.pos_enu_m.T - self._plan.pads_enu_m)[:, :2], axis=1)
+        off_m = np.linalg.norm((self._world.dynamics.motion.pos_enu_m.T - self._plan.pads_enu_m)[:, :2], axis=1)
         limit_m = _BESIDE_PAD_M + self._plan.margin_m
         for row in np.flatnonzero(off_m > limit_m).tolist():
             what = f"vehicle {self._id(row)} ended {off_m[row]:.2f} m from its pad"
@@ -197,7 +197,7 @@ class Witness:
     def _judge_now(self, t_ns: int, text: str) -> None:
         """What can be wrong about words at the time at which they are said."""
         world = self._world
-        up = ~world.dynamics.on_ground
+        up = ~world.dynamics.motion.on_ground
         at = f"at {t_ns / _SECOND_NS:.1f} s: {text[:120]}"
         for row in self._rows(_DISARMED.findall(text)):
             if up[row] and world.autopilots[row].armed:

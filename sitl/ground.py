@@ -1,0 +1,69 @@
+"""The ground beneath the vehicles: the same height everywhere, or a floor on which pads stand as posts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sitl.frames import Array
+from sitl.motion import Health, Motion
+
+_CONTACT_M = 1e-9
+_PAD_REACH_M = 0.4  # a raised pad carries its vehicle that far from its middle
+
+
+class Ground:
+    """Holds up whoever has come down.
+
+    Args:
+        pads_enu_m: where the vehicles stand at first, shape (3, n).
+        floor_m: height of the ground beside the pads; None: it is everywhere as high as each vehicle's pad.
+
+    Attributes:
+        height_m: of the ground beneath each vehicle, shape (n,).
+        posts_up: False draws in every post that nobody stands on.
+    """
+
+    def __init__(self, pads_enu_m: Array, floor_m: float | None) -> None:
+        self.height_m = pads_enu_m[2].copy()
+        self.posts_up = True
+        self._floor_m, self._pads_enu_m = floor_m, pads_enu_m.copy()
+
+    def stop(self, motion: Motion, integral: Array, health: Health) -> None:
+        """Stops at the ground whoever has reached it and does not lift; friction holds what stands.
+
+        Args:
+            motion: of all vehicles, changed.
+            integral: of their velocity loops, changed, shape (3, n).
+            health: who tumbles stays where it comes down.
+        """
+        pos, vel = motion.pos_enu_m, motion.vel_enu_m_s
+        below = pos[2] <= self.height_m + _CONTACT_M
+        below &= vel[2] <= 0.0
+        touching = bool(below.any())
+        if touching:
+            landing = below & ~motion.on_ground
+            if landing.any():
+                np.maximum(motion.touchdown_m_s, np.linalg.norm(vel, axis=0), out=motion.touchdown_m_s, where=landing)
+        motion.on_ground = below
+        motion.any_on_ground = touching
+        motion.all_on_ground = touching and bool(below.all())
+        if touching:
+            keep = ~below
+            vel *= keep
+            np.maximum(pos[2], self.height_m, out=pos[2], where=below)
+            motion.acc_enu_m_s2 = motion.acc_enu_m_s2 * keep
+            motion.up_rate *= keep
+            motion.up_enu[:2] *= keep
+            motion.up_enu[2][below] = 1.0
+            integral *= keep
+            motion.crashed |= health.tumbling & below
+        if self._floor_m is not None:
+            self._find(motion)
+
+    def _find(self, motion: Motion) -> None:
+        """Pads on posts: each carries its own vehicle while that is above it; elsewhere there is the floor."""
+        away = motion.pos_enu_m - self._pads_enu_m
+        carried = (away[2] >= -_CONTACT_M) & (away[0] * away[0] + away[1] * away[1] <= _PAD_REACH_M**2)
+        if not self.posts_up:
+            carried &= motion.on_ground
+        self.height_m = np.where(carried, self._pads_enu_m[2], self._floor_m)

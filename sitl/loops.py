@@ -1,0 +1,201 @@
+"""The control loops of all vehicles at once, each with its own parameters and its own memory.
+
+What is commanded becomes a velocity (``Reference``), that an acceleration (``VelocityLoop``), that a thrust direction
+and a thrust (``AttitudeLoop``); the heading has a loop of its own. Numbers come from the profiles. Refuses to know
+where vehicles are but by what it is given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sitl.frames import Array, wrap_pi
+from sitl.motion import Commands, Health, Motion
+from sitl.profiles import Profile, column, columns
+
+GRAVITY_M_S2 = 9.80665
+_THRUST_MIN_G = 0.1  # props never stop in flight
+_YAW_EVERY = 5  # the yaw loop is slow: it runs every fifth step
+
+
+class Reference:
+    """The velocity that is to be followed now: position loop, dead time, command filters."""
+
+    def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
+        n = len(profiles)
+        self._kpos = column(profiles, "position_gain_per_s")
+        delay = np.maximum(np.rint(column(profiles, "dead_time_s") / step_s).astype(np.int64), 0)
+        self._delay, self._cols = delay, np.arange(n)
+        self._delay_same = int(delay[0]) if (delay == delay[0]).all() else None
+        self._length = int(delay.max()) + 1
+        self._queue = np.zeros((self._length, 3, n))
+        filter_s = column(profiles, "filter_s")
+        self._filtered = bool((filter_s > 0).any())
+        self._gain = np.where(filter_s > 0, 1.0 - np.exp(-step_s / np.maximum(filter_s, 1e-9)), 1.0)
+        self._feedforward = column(profiles, "filter_feedforward") / step_s
+        self._first, self._second = np.zeros((3, n)), np.zeros((3, n))
+
+    def step(self, k: int, commands: Commands, pos_enu_m: Array, pos_error_m: Array) -> tuple[Array, Array | None]:
+        """Moves on by one step.
+
+        Args:
+            k: number of the step.
+            commands: of the autopilots.
+            pos_enu_m: truth, shape (3, n).
+            pos_error_m: by how much what is believed differs from it, shape (3, n).
+
+        Returns:
+            The velocity, and what its change adds to the acceleration (None: nothing), shape (3, n), not to be written.
+        """
+        command = commands.vel_sp_enu_m_s
+        if commands.positions_used:
+            limits = commands.speed_limit_m_s
+            pull = commands.pos_sp_enu_m - pos_enu_m
+            pull -= pos_error_m
+            pull *= self._kpos
+            pull *= commands.pos_mask
+            norm = np.hypot(pull[0], pull[1])
+            pull[:2] *= np.minimum(limits[0] / np.maximum(norm, 1e-9), 1.0)
+            np.minimum(pull[2], limits[1], out=pull[2])
+            np.maximum(pull[2], -limits[2], out=pull[2])
+            command = command + pull
+        queue = self._queue
+        queue[k % self._length] = command
+        if self._delay_same is not None:
+            ref = queue[(k - self._delay_same) % self._length]
+        else:
+            ref = queue[(k - self._delay) % self._length, :, self._cols].T
+        if not self._filtered:
+            return ref, None
+        self._first += (ref - self._first) * self._gain
+        change = (self._first - self._second) * self._gain
+        self._second = self._second + change
+        return self._second, change * self._feedforward
+
+    def rest(self) -> None:
+        """Forgets what was commanded."""
+        self._queue[:] = 0.0
+        self._first[:] = 0.0
+        self._second = np.zeros_like(self._second)
+
+
+class VelocityLoop:
+    """A PI controller on the estimated velocity, with the drag and the change of the command fed forward.
+
+    Attributes:
+        kp: its gain, shape (3, n), 1/s.
+        ki_dt: integral gain times the step, shape (3, n), 1/s.
+        integral: shape (3, n), m/s^2.
+    """
+
+    def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
+        self.kp = columns(profiles, "kp_xy_per_s", "kp_xy_per_s", "kp_z_per_s")
+        self.ki_dt = columns(profiles, "ki_xy_per_s2", "ki_xy_per_s2", "ki_z_per_s2") * step_s
+        self.integral = np.zeros((3, len(profiles)))
+        self._drag_ff = column(profiles, "drag_per_s") * column(profiles, "drag_feedforward")
+        self._accel_max = column(profiles, "accel_max_m_s2")
+        self._tilt_tan = np.tan(column(profiles, "tilt_max_rad"))
+        self._thrust_max = column(profiles, "thrust_max_g") * GRAVITY_M_S2
+
+    def wanted(
+        self, ref: Array, ref_rate: Array | None, vel: Array, vel_error: Array, thrust_share: Array
+    ) -> tuple[Array, Array]:
+        """The specific force that it asks for.
+
+        Args:
+            ref: as ``Reference.step`` gives it, shape (3, n).
+            ref_rate: the same.
+            vel: truth, shape (3, n).
+            vel_error: by how much what is believed differs from it, shape (3, n).
+            thrust_share: what is left of the motors' power, shape (n,).
+
+        Returns:
+            The force, shape (3, n), and its size, shape (n,), m/s^2: limited as a horizontal acceleration by itself,
+            by the tilt, and by the thrust that is left beside the weight.
+        """
+        acc = ref - vel
+        acc -= vel_error
+        integral = self.integral
+        integral += acc * self.ki_dt
+        np.maximum(integral, -5.0, out=integral)
+        np.minimum(integral, 5.0, out=integral)
+        acc *= self.kp
+        acc += integral
+        acc += ref * self._drag_ff
+        if ref_rate is not None:
+            acc += ref_rate
+        horizontal = np.hypot(acc[0], acc[1])
+        thrust_max = self._thrust_max * thrust_share
+        lift = acc[2]
+        lift += GRAVITY_M_S2
+        np.maximum(lift, _THRUST_MIN_G * GRAVITY_M_S2, out=lift)
+        np.minimum(lift, thrust_max, out=lift)
+        limit = np.minimum(self._accel_max, self._tilt_tan * lift)
+        np.minimum(limit, np.sqrt(thrust_max * thrust_max - lift * lift), out=limit)
+        acc[:2] *= np.minimum(limit / np.maximum(horizontal, 1e-9), 1.0)
+        return acc, np.sqrt(acc[0] * acc[0] + acc[1] * acc[1] + lift * lift)
+
+
+class AttitudeLoop:
+    """Attitude of second order towards the wanted thrust direction; motors of first order."""
+
+    def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
+        omega = column(profiles, "attitude_rad_s")
+        self._step_s = step_s
+        self._omega2_dt = omega**2 * step_s
+        self._damp = 1.0 / (1.0 + 2.0 * omega * step_s)  # implicit in the damping: stable at any step
+        self._rate_max = column(profiles, "tilt_rate_max_rad_s")
+        self._thrust_gain = 1.0 - np.exp(-step_s / column(profiles, "thrust_lag_s"))
+
+    def step(self, k: int, motion: Motion, commands: Commands, health: Health, wanted: tuple[Array, Array]) -> None:
+        """Moves on by one step.
+
+        Args:
+            k: number of the step.
+            motion: of which the upward axes and the thrusts are moved on.
+            commands: who may lift.
+            health: who tumbles.
+            wanted: force and thrust as ``VelocityLoop.wanted`` gives them; used up.
+        """
+        (force, thrust), up, rate = wanted, motion.up_enu, motion.up_rate
+        force /= np.maximum(thrust, 1e-9)
+        if health.any_tumbling:
+            self._tumble(force, health, 3.0 * k * self._step_s)
+        force -= up
+        force *= self._omega2_dt
+        rate += force
+        rate *= self._damp
+        speed = np.sqrt(np.add.reduce(rate * rate, axis=0))
+        rate *= np.minimum(self._rate_max / np.maximum(speed, 1e-9), 1.0)
+        up += rate * self._step_s
+        up /= np.sqrt(np.add.reduce(up * up, axis=0))
+        thrust *= commands.flying & ~motion.crashed
+        motion.thrust_m_s2 += (thrust - motion.thrust_m_s2) * self._thrust_gain
+
+    def _tumble(self, wanted_up: Array, health: Health, phase: float) -> None:
+        """Replaces the wanted attitude of vehicles that have lost a motor: they roll over, turning."""
+        for i in np.flatnonzero(health.tumbling):
+            wanted_up[:, i] = (math.sin(1.2) * math.cos(phase), math.sin(1.2) * math.sin(phase), math.cos(1.2))
+
+
+class HeadingLoop:
+    """Turns headings towards their commands; the ground holds them."""
+
+    def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
+        self._step_s = step_s
+        self._gain, self._rate_max = column(profiles, "yaw_gain_per_s"), column(profiles, "yaw_rate_max_rad_s")
+
+    def step(self, k: int, motion: Motion, commands: Commands, health: Health) -> None:
+        """Moves on by one step; ``k`` is its number."""
+        motion.yaw_enu_rad += motion.yaw_rate_rad_s * self._step_s
+        if k % _YAW_EVERY:
+            return
+        error = wrap_pi(commands.yaw_sp_enu_rad - motion.yaw_enu_rad)
+        rate = np.where(commands.yaw_mask, self._gain * error, commands.yaw_rate_sp_rad_s)
+        rate = np.clip(rate, -self._rate_max, self._rate_max)
+        rate[motion.on_ground] = 0.0
+        rate[health.tumbling] = 10.0
+        motion.yaw_rate_rad_s += (rate - motion.yaw_rate_rad_s) * (_YAW_EVERY * self._step_s / 0.08)
