@@ -41,6 +41,7 @@ class Lookout:
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
         poses = board.trusted(poses, pose_ns, now_ns)
+        airborne = team.standing.airborne(now_ns)
         sight = Sight(
             fleet=fleet,
             now_ns=now_ns,
@@ -54,7 +55,7 @@ class Lookout:
             lands_here=roster.lands_here,
             excused=roster.told_to_land,
             blind=board.blind,
-            airborne=team.airborne(now_ns),
+            airborne=airborne,
             going_on=self._machine.going_on,
         )
         findings = board.look(sight)
@@ -95,7 +96,7 @@ class Lookout:
     def measure(self, poses: Poses, now_ns: int) -> None:
         """Enters how near to each other they come, by their own reports."""
         team, figures, region = self._team, self._team.figures, self._team.plan.region
-        counted, flying = np.asarray(~team.board.blind, dtype=np.bool_), team.airborne(now_ns)
+        counted, flying = np.asarray(~team.board.blind, dtype=np.bool_), team.standing.airborne(now_ns)
         distance_m = min_distance_m(poses.pos_team_ned_m, counted, flying=flying)
         if region.by_distance:
             clearance = distance_m / region.radius_m

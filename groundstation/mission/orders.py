@@ -83,7 +83,7 @@ class Orders:
         """Everybody lands in place; whoever has somebody below moves aside first."""
         team = self._team
         team.verdict.abort("landed by the operator")
-        ours = team.roster.waited_for & ~team.board.blind & team.airborne(now_ns)
+        ours = team.roster.waited_for & ~team.board.blind & team.standing.airborne(now_ns)
         for news in team.landing.spots.everybody_here(team.rest_ned_m(poses), ours):
             team.verdict.note("alarm" if news.elsewhere else "info", news.text)
         team.roster.end_climb(team.roster.climbing)

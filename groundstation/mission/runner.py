@@ -113,6 +113,7 @@ class Runner(Told):
         self._last_step_ns = now_ns
         self._guarded(now_ns, team.station.ingest)
         self._guarded(now_ns, partial(self._listen, now_ns))
+        self._guarded(now_ns, partial(self._machine.state.locate, now_ns))
         poses = self._poses(now_ns)
         sightless = self._sightless.since_ns != NEVER
         lines, self._lines = self._lines, []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from groundstation.core import frames
@@ -17,9 +15,8 @@ from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.killing import Killing
 from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.flight.standing import landed_age_s
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.flight.team_frame import TeamFrame
-from groundstation.mission.ground.failsafe import OutOfTurn
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.monitors.board import Board
 from groundstation.mission.plan.plan import MissionPlan
@@ -83,11 +80,11 @@ class Team:
         self.formation = FormationFlight(plan, self.roster, self.helm, self.verdict.figures, self.verdict.note)
         commands = self.station.commands
         distances = landing_distances(plan, self.helm.guide.beside_m, self.tolerance_m(PAD_TOLERANCE_M))
-        self.landing = Landing(plan, fleet, commands, self.roster, distances)
+        self.standing = Standing(plan, fleet)
+        self.landing = Landing(plan, fleet, commands, self.roster, distances, standing=self.standing)
         self.killing = Killing(plan, fleet, commands, self.roster)
         self.apart = Apart(self.helm.guide, plan.size, self.roster, self.landing)
         self.stance = Stance(plan.size)
-        self.turns = OutOfTurn(self.preflight.checks.failsafe, fleet.sysid.tolist())
 
     @property
     def figures(self) -> Figures:
@@ -98,15 +95,6 @@ class Team:
     def fleet(self) -> Fleet:
         """State of the vehicles."""
         return self.station.fleet
-
-    @cached_property
-    def _landed_age_s(self) -> FloatArray:
-        return landed_age_s(self.plan)
-
-    def airborne(self, now_ns: int) -> BoolArray:
-        """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
-        airborne: BoolArray = self.fleet.armed & ~self.fleet.stands(now_ns, self._landed_age_s)
-        return airborne
 
     def absent(self) -> BoolArray:
         """Vehicles that do not follow setpoints at the moment, shape (n,)."""
@@ -153,7 +141,7 @@ class Team:
     def too_low_to_hold(self, now_ns: int) -> str | None:
         """Words for a battery that does not allow standing still, None when all do."""
         minimum = self.plan.spec.limits.battery_min
-        flying = self.airborne(now_ns) & self.roster.follows
+        flying = self.standing.airborne(now_ns) & self.roster.follows
         for vehicle in np.flatnonzero((self.fleet.battery_remaining < minimum) & flying):
             left = self.fleet.battery_remaining[vehicle]
             return f"{self.name(int(vehicle))}: battery at {left:.0%}, minimum is {minimum:.0%}"

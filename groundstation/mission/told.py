@@ -81,7 +81,7 @@ class Told:
     @property
     def airborne(self) -> BoolArray:
         """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
-        return self._team.airborne(self._last_step_ns)
+        return self._team.standing.airborne(self._last_step_ns)
 
     def check_rows(self) -> list[CheckRow]:
         """What preflight found, a row for each vehicle."""

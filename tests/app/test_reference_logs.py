@@ -7,16 +7,27 @@ from pathlib import Path
 import pytest
 
 from groundstation.app.verify import verify_log
+from tests.calls import count_calls
 from tests.reference import FLIGHTS, FOLDER, known_figures, unpack
 
 BYTES_MAX = 3_000_000
 
 
+COUNTED = ("lands_here", "taken_over")
+"""Between them they have preflight and take-over, all that is flown, and landings of one and of all."""
+
+
 @pytest.mark.parametrize("name", FLIGHTS)
-def test_a_log_that_is_kept_is_flown_again_to_the_bit(name: str, tmp_path: Path) -> None:
+def test_a_log_that_is_kept_is_flown_again_to_the_bit_and_nothing_is_done_twice_in_a_tick(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = count_calls(monkeypatch) if name in COUNTED else None
     result = verify_log(unpack(name, tmp_path))
     assert (result.mismatches, result.complete) == (0, True), "changed on purpose? then `make refs`, and say so"
     assert result.setpoints == known_figures()[name]["setpoints"] > 0
+    if calls is not None:
+        assert {"TeamFrame.poses", "Board.look", "Landing.step", "Fleet.stands"} <= calls.counted
+        assert dict(calls.twice) == {}
 
 
 def test_the_logs_show_what_they_are_kept_for_and_stay_small() -> None:

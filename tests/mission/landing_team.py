@@ -16,6 +16,7 @@ from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import enlist
 
@@ -72,7 +73,9 @@ class LandingTeam:
         self.helm = Helm(Guide(plan), n)
         self.roster = enlist(plan)
         distances = landing_distances(plan, self.helm.guide.beside_m, _TOLERANCE_M)
-        self.landing = Landing(plan, self.fleet, self.commands, self.roster, distances)
+        self.landing = Landing(
+            plan, self.fleet, self.commands, self.roster, distances, standing=Standing(plan, self.fleet)
+        )
         self.lost, self.loose = lost & self.fleet.armed, loose & self.fleet.armed
         self.roster.release(np.flatnonzero(self.loose).tolist())
         self.down_s = np.full(n, np.inf)

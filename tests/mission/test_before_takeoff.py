@@ -15,7 +15,7 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.checks import Checks
 from groundstation.mission.ground.failsafe import make_failsafe
 from groundstation.mission.ground.parameters import ParameterCheck
-from groundstation.mission.ground.preflight import Preflight
+from groundstation.mission.ground.preflight import GroundState, Preflight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 from tests.app.flights import pair
@@ -70,7 +70,7 @@ def test_the_frame_hangs_on_the_first_pad_and_heights_count_from_the_pads(plan: 
     frame = _frame(plan, fleet)
     before = frame.poses(fleet, SECOND_NS).pos_team_ned_m
     np.testing.assert_allclose(before, [(0.0, -2.5, 0.0), (0.0, 2.5, -7.0)], atol=0.02)
-    np.testing.assert_allclose(frame.off_pad_m(fleet, SECOND_NS), [0.0, 7.0 / 3.0], atol=0.02)
+    np.testing.assert_allclose(frame.off_pad_m(before), [0.0, 7.0 / 3.0], atol=0.02)
     frame.settle(fleet, SECOND_NS)
     fleet.pos_local_ned_m[1] = (3.0, 0.5, -2.0)
     fleet.origin_deg_m[1, 0] += 1.0  # in flight no origin is followed
@@ -286,19 +286,26 @@ def test_one_that_is_armed_is_asked_and_told_nothing() -> None:
 # The way to arming
 
 
+def _looked(preflight: Preflight, frame: TeamFrame, fleet: Fleet, now_ns: int) -> GroundState:
+    """One tick on the ground."""
+    frame.look(fleet, now_ns)
+    return preflight.step(now_ns, {}, frame.poses(fleet, now_ns).pos_team_ned_m)
+
+
 def test_each_vehicle_is_told_the_first_thing_that_is_wrong_with_it(plan: MissionPlan, fleet: Fleet) -> None:
-    preflight = Preflight(plan, Station(fleet, 0), _frame(plan, fleet))
+    frame = _frame(plan, fleet)
+    preflight = Preflight(plan, Station(fleet, 0), frame)
     heard_s = plan.spec.limits.heartbeat_age_s
     fleet.heard_ns[1] = fleet.heartbeat_ns[1] = fleet.pose_ns[1] = fleet.attitude_ns[1] = 20 * SECOND_NS
     now_ns = 20 * SECOND_NS + SECOND_NS // 10
-    first, second = preflight.step(now_ns, {}).waiting
+    first, second = _looked(preflight, frame, fleet, now_ns).waiting
     assert first.startswith(f"vehicle 1: last heard 19.1 s ago, limit {heard_s:g} s")
     assert second.startswith("vehicle 2: message rates asked for")
     fleet.heard_ns[0] = fleet.heartbeat_ns[0] = now_ns
-    first, _ = preflight.step(now_ns, {}).waiting
+    first, _ = _looked(preflight, frame, fleet, now_ns).waiting
     assert first.startswith("vehicle 1: position and attitude: 19.10 s old, limit 0.5 s")
     fleet.mav_type[0] = 1  # MAV_TYPE_FIXED_WING
-    state = preflight.step(now_ns, {})
+    state = _looked(preflight, frame, fleet, now_ns)
     assert len(state.waiting) == 1
     assert any(line.startswith("vehicle 1: ") for line in state.fatal)
 
@@ -314,10 +321,11 @@ def test_each_vehicle_is_told_the_first_thing_that_is_wrong_with_it(plan: Missio
 def test_one_that_is_armed_is_refused_when_it_is_known_whether_it_flies(
     plan: MissionPlan, fleet: Fleet, landed: int, words: str
 ) -> None:
-    preflight = Preflight(plan, Station(fleet, 0), _frame(plan, fleet))
+    frame = _frame(plan, fleet)
+    preflight = Preflight(plan, Station(fleet, 0), frame)
     fleet.armed[1], fleet.landed_state[1] = True, landed
     for now_s, fatal in ((1.0, 0), (3.9, 0), (4.0, 1)):
-        state = preflight.step(round(now_s * SECOND_NS), {})
+        state = _looked(preflight, frame, fleet, round(now_s * SECOND_NS))
         told = [line for line in state.fatal if line.startswith("vehicle 2: ")]
         assert len(told) == fatal
     assert told[0].startswith(f"vehicle 2: {words}")

@@ -15,6 +15,7 @@ from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
 
@@ -59,7 +60,9 @@ class _Team:
         self.wishes = _Wishes(8)
         self.roster = enlist(self.plan)
         distances = landing_distances(self.plan, Guide(self.plan).beside_m, 0.15)
-        self.landing = Landing(self.plan, self.fleet, self.wishes, self.roster, distances)
+        self.landing = Landing(
+            self.plan, self.fleet, self.wishes, self.roster, distances, standing=Standing(self.plan, self.fleet)
+        )
         self.landing.want([0, 1], 0)
         self.pos_enu_m = np.array(pads)
 

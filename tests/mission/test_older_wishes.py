@@ -16,6 +16,7 @@ from groundstation.mission.flight.columns import Distances
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.landing import Around, Landing, landing_distances
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
@@ -54,7 +55,7 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
     plan: MissionPlan, *, told: bool
 ) -> None:
     fleet, commands = _armed(plan)
-    landing = Landing(plan, fleet, commands, enlist(plan), _distances(plan))
+    landing = Landing(plan, fleet, commands, enlist(plan), _distances(plan), standing=Standing(plan, fleet))
     landing.want([0], 0)
     still, nobody = np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros(2, dtype=np.bool_)
     pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
@@ -72,7 +73,8 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
 def test_a_broken_off_arming_disarms_those_alone_that_tell_that_they_stand(plan: MissionPlan) -> None:
     fleet, commands = _armed(plan)
     fleet.landed_ns[1] = round(OLD_S * SECOND_NS)
-    Landing(plan, fleet, commands, enlist(plan), _distances(plan)).disarm_on_the_ground(round(OLD_S * SECOND_NS))
+    landing = Landing(plan, fleet, commands, enlist(plan), _distances(plan), standing=Standing(plan, fleet))
+    landing.disarm_on_the_ground(round(OLD_S * SECOND_NS))
     assert [commands.pending(0), commands.pending(1)] == [False, True]
 
 
@@ -83,7 +85,7 @@ def test_who_waits_armed_for_another_one_is_disarmed_only_where_it_tells_that_it
     fleet, commands = _armed(plan)
     fleet.custom_mode[:] = 4  # GUIDED
     fleet.armed[1] = False
-    arming = Arming(plan, fleet, commands)
+    arming = Arming(plan, fleet, commands, Standing(plan, fleet))
     arming._reluctant[1] = True
     names: list[str] = []
     for k in range(60):
@@ -97,7 +99,7 @@ def test_who_waits_armed_for_another_one_is_disarmed_only_where_it_tells_that_it
 def test_nobody_is_asked_to_take_off_who_has_not_told_lately_that_it_stands(plan: MissionPlan) -> None:
     fleet, commands = _armed(plan)
     fleet.landed_ns[1] = round(OLD_S * SECOND_NS)
-    climb = Climb(plan, enlist(plan), Guide(plan).beside_m)
+    climb = Climb(plan, enlist(plan), Guide(plan).beside_m, Standing(plan, fleet))
     climb.step(round(OLD_S * SECOND_NS), fleet, commands, np.zeros(2), np.full(2, 3.0))
     assert [commands.pending(0), commands.pending(1)] == [False, True]
 
@@ -108,7 +110,7 @@ def test_what_was_asked_before_the_landing_is_not_repeated(plan: MissionPlan) ->
     assert takeoff is not None
     commands.request(0, takeoff)
     assert _names(commands, 0.0) == ["takeoff"]
-    Landing(plan, fleet, commands, enlist(plan), _distances(plan)).want([0], 0)
+    Landing(plan, fleet, commands, enlist(plan), _distances(plan), standing=Standing(plan, fleet)).want([0], 0)
     assert _names(commands, 5.0) == []
 
 

@@ -10,6 +10,7 @@ from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.killing import Killing
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty, Roster, enlist
@@ -153,7 +154,7 @@ def test_motors_are_stopped_again_and_again_until_a_newer_heartbeat_shows_it(pla
 def test_a_climb_is_asked_of_one_that_stands_and_ends_at_its_height(plan: MissionPlan) -> None:
     two = Two(plan)
     two.fleet.armed[:] = True
-    climb = Climb(plan, two.roster, Guide(plan).beside_m)
+    climb = Climb(plan, two.roster, Guide(plan).beside_m, Standing(plan, two.fleet))
     height, target = np.zeros(2), np.full(2, 2.0)
     climb.step(two.hear(0.1), two.fleet, two.commands, height, target)
     assert two.asked(SECOND_NS // 10) == [(0, "takeoff"), (1, "takeoff")]
@@ -168,7 +169,7 @@ def test_a_climb_is_asked_of_one_that_stands_and_ends_at_its_height(plan: Missio
 
 def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_alone(plan: MissionPlan) -> None:
     two = Two(plan)
-    arming = Arming(plan, two.fleet, two.commands)
+    arming = Arming(plan, two.fleet, two.commands, Standing(plan, two.fleet))
     assert not arming.step(two.hear(0.0))
     assert {name for _, name in two.asked(0)} == {plan.autopilots[0].streaming_mode().name}
     two.fleet.custom_mode[0] = GUIDED

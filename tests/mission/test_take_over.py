@@ -44,6 +44,11 @@ class Scene:
         fleet.home_local_ned_m[:] = 0.0
         self.state = TakeOverState(np.zeros(8, dtype=np.bool_))
 
+    def _step(self) -> TakeOverState:
+        frame = self.runner._team.frame
+        frame.look_in_flight(self.fleet, self.now_ns)
+        return self.take_over.step(self.now_ns, frame.poses(self.fleet, self.now_ns).pos_team_ned_m)
+
     def run(self, each: Callable[[], None] | None = None, seconds: float = 30.0) -> TakeOverState:
         """Goes on until everybody is held or left alone."""
         for _ in range(round(seconds / 0.1)):
@@ -53,7 +58,7 @@ class Scene:
                 times[:] = self.now_ns
             if each is not None:
                 each()
-            self.state = self.take_over.step(self.now_ns)
+            self.state = self._step()
             if self.state.done:
                 break
             # Who is asked comes into the mode a second after it was taken.

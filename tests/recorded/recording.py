@@ -21,6 +21,7 @@ from groundstation.mavlink.autopilot import CMD_COMPONENT_ARM_DISARM, CMD_DO_SET
 from groundstation.mavlink.codec import Frame, decode, message_id
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.preflight import Preflight
 from groundstation.mission.monitors.board import Board
@@ -231,9 +232,11 @@ def listen(recording: Recording) -> Belief:
             now_ns = record.t_ns
             station.ingest()
             fleet.take_texts()
+            if phase == "connect":
+                frame.look(fleet, now_ns)
             poses = frame.poses(fleet, now_ns)
             if phase == "connect":
-                _on_the_ground(preflight, station, belief, ids, now_ns)
+                _on_the_ground(preflight, station, poses, belief, now_ns)
             elif phase not in ("arm", "done"):
                 airborne: BoolArray = fleet.armed & (fleet.landed_state != LANDED_ON_GROUND)
                 pose_ns = frame.pose_ns(fleet)
@@ -282,9 +285,10 @@ def _hear_arming(record: Received, sent: _Sent) -> None:
             sent.armed_ns[row] = record.t_ns
 
 
-def _on_the_ground(preflight: Preflight, station: Station, belief: Belief, ids: list[int], now_ns: int) -> None:
+def _on_the_ground(preflight: Preflight, station: Station, poses: Poses, belief: Belief, now_ns: int) -> None:
     """Lets preflight look; what it would send goes nowhere."""
-    state = preflight.step(now_ns, {})
+    state = preflight.step(now_ns, {}, poses.pos_team_ned_m)
+    ids = station.fleet.sysid.tolist()
     for row in range(len(ids)):
         station.commands.clear(row)
     station.parameters.due(now_ns)  # what is not told has been asked for often enough some day

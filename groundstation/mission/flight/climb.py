@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, Fleet
-from groundstation.mission.flight.standing import landed_age_s
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.plan.pads import pads_above
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster, by_command
@@ -32,12 +32,13 @@ class Climb:
         plan: autopilots, pads.
         roster: who climbs by command.
         beside_m: horizontal distance from which on two vehicles are clear of each other at any heights.
+        standing: who stands on the ground.
     """
 
-    def __init__(self, plan: MissionPlan, roster: Roster, beside_m: float) -> None:
+    def __init__(self, plan: MissionPlan, roster: Roster, beside_m: float, standing: Standing) -> None:
         self._plan = plan
         self._roster = roster
-        self._landed_age_s = landed_age_s(plan)
+        self._standing = standing
         self._pads_above = pads_above(plan.pads_enu_m, beside_m)
         self._by_command = by_command(plan)
         self._asking = AskAgain(plan.size, _ASK_AGAIN_NS)
@@ -56,7 +57,7 @@ class Climb:
             target_m: of the climbs, shape (n,).
         """
         high = height_m >= _THERE * target_m
-        stands = fleet.stands(now_ns, self._landed_age_s)
+        stands = self._standing.at(now_ns)
         left = np.where(self._by_command, fleet.landed_state != LANDED_ON_GROUND, height_m >= _AHEAD * target_m)
         ahead = np.asarray(high | left, dtype=np.bool_)
         for vehicle in np.flatnonzero(self._roster.climbing).tolist():

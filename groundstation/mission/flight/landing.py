@@ -20,7 +20,7 @@ from groundstation.mission.flight.columns import Columns, Distances, Scene
 from groundstation.mission.flight.places import Box
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.spots import Spots
-from groundstation.mission.flight.standing import landed_age_s
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
 from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
@@ -81,13 +81,21 @@ class Landing:
         commands: what is asked goes out by it.
         roster: who lands.
         distances: what is kept; ``landing_distances``.
+        standing: who stands on the ground.
 
     Attributes:
         spots: where everybody comes down.
     """
 
     def __init__(
-        self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster, distances: Distances
+        self,
+        plan: MissionPlan,
+        fleet: Fleet,
+        commands: CommandQueue,
+        roster: Roster,
+        distances: Distances,
+        *,
+        standing: Standing,
     ) -> None:
         n = plan.size
         self.spots = Spots(fleet.sysid, roster, Columns(plan.pads_enu_m, distances), fence_box(plan))
@@ -95,7 +103,7 @@ class Landing:
         self._roster = roster
         self._fleet = fleet
         self._commands = commands
-        self._landed_age_s = landed_age_s(plan)
+        self._standing = standing
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
         self._on_ground = HeldEach(n)
         self._said_yes: set[tuple[int, str]] = set()
@@ -132,7 +140,7 @@ class Landing:
             around: where everybody is, and whom we steer.
         """
         fleet, roster = self._fleet, self._roster
-        on_ground = fleet.stands(now_ns, self._landed_age_s)
+        on_ground = self._standing.at(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         ready = self.spots.step(now_ns, self._scene(around, on_ground))
         for vehicle in np.flatnonzero(roster.lands & fleet.armed).tolist():
@@ -153,7 +161,7 @@ class Landing:
     def standing(self, now_ns: int) -> BoolArray:
         """Vehicles that stand for good, shape (n,): who flies low keeps clear of them, they of nobody."""
         roster = self._roster
-        stands = self._fleet.stands(now_ns, self._landed_age_s) & (roster.told_to_land | ~roster.ours)
+        stands = self._standing.at(now_ns) & (roster.told_to_land | ~roster.ours)
         return np.asarray(stands | ~self._fleet.armed)
 
     def columns(self) -> BoolArray:
@@ -189,7 +197,7 @@ class Landing:
         ``still_up`` has nobody left. Who does not tell that it stands is not asked: nothing has told it to take off,
         and it disarms by itself.
         """
-        for vehicle in np.flatnonzero(self._fleet.stands(now_ns, self._landed_age_s)).tolist():
+        for vehicle in np.flatnonzero(self._standing.at(now_ns)).tolist():
             if self._asking.due(vehicle, now_ns) and not self._commands.pending(vehicle):
                 self._commands.request(vehicle, self._plan.autopilots[vehicle].disarm())
                 self._asking.asked(vehicle, now_ns)
@@ -198,25 +206,29 @@ class Landing:
         """Vehicles of which nothing has been heard for ten seconds, shape (n,)."""
         return self._fleet.silent(now_ns, _LOST_S)
 
-    def unsure(self, now_ns: int) -> BoolArray:
+    def unsure(self, now_ns: int, lost: BoolArray) -> BoolArray:
         """Vehicles that are heard, report to stand on the ground, and send no heartbeat any more, shape (n,).
 
         Whether they are disarmed cannot be known; they are not waited for longer than this.
+
+        Args:
+            now_ns: time of the tick.
+            lost: see ``lost``, shape (n,).
         """
         limit_s = self._plan.spec.limits.heartbeat_age_s
         since_ns = self._on_ground.since_ns
         stood = (since_ns != NEVER) & (now_ns - since_ns >= 2 * _STILL_ARMED_NS)
-        return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~self.lost(now_ns))
+        return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~lost)
 
-    def still_up(self, since_ns: int, now_ns: int) -> BoolArray:
-        """Vehicles that may still be armed, shape (n,); those that are released, lost or ``unsure`` are not waited for.
+    def still_up(self, since_ns: int, given_up: BoolArray) -> BoolArray:
+        """Vehicles that may still be armed, shape (n,); those that are released or given up are not waited for.
 
         Args:
             since_ns: a heartbeat has to be newer than this to be believed.
-            now_ns: time of the tick.
+            given_up: those that are ``lost`` or ``unsure``, shape (n,).
         """
         perhaps: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
-        return perhaps & self._roster.ours & ~self.lost(now_ns) & ~self.unsure(now_ns)
+        return perhaps & self._roster.ours & ~given_up
 
     def words_of_late(self, vehicle: int, height_m: float, waited_s: float) -> str:
         """Says of one that is still armed when nobody waits any longer where it is, what it does, and what is left.

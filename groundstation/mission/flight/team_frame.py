@@ -114,12 +114,12 @@ class TeamFrame(Placement):
         attitude_ns = np.where(fleet.attitude_ns == NEVER, NEVER, fleet.attitude_ns + self._attitude_late_ns)
         return np.minimum(np.where(self._global, fleet.place_ns, fleet.pose_ns), attitude_ns)
 
-    def off_pad_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
-        """How far from their pads the vehicles report to stand, shape (n,).
+    def off_pad_m(self, pos_team_ned_m: FloatArray) -> FloatArray:
+        """How far from their pads the vehicles stand that report to be at these places, shape (n,).
 
         A height from GPS counts a third: it is that much worse, and is not flown by.
         """
-        gap = self._reported(fleet, now_ns) - self._pads_ned_m
+        gap = pos_team_ned_m - self._pads_ned_m
         gap[self._gps, 2] /= 3.0
         return np.asarray(np.linalg.norm(gap, axis=1))
 

@@ -14,7 +14,7 @@ import numpy as np
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import Fleet
-from groundstation.mission.flight.standing import landed_age_s
+from groundstation.mission.flight.standing import Standing
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
@@ -29,12 +29,13 @@ class Arming:
         plan: autopilots.
         fleet: their state.
         commands: what is asked goes out by it.
+        standing: who stands on the ground.
     """
 
-    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue) -> None:
+    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, standing: Standing) -> None:
         n = plan.size
         self._plan, self._fleet, self._commands = plan, fleet, commands
-        self._landed_age_s = landed_age_s(plan)
+        self._standing = standing
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
         self._armed = HeldEach(n)
         self._reluctant: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -63,7 +64,7 @@ class Arming:
         waited_armed = self._armed(fleet.armed, now_ns, _WAITS_ARMED_NS)
         self._reluctant &= ~ready
         may_arm = bool(in_mode.all())
-        stands = fleet.stands(now_ns, self._landed_age_s)
+        stands = self._standing.at(now_ns)
         for vehicle in np.flatnonzero(self._asking.all_due(now_ns)).tolist():
             if self._commands.pending(vehicle):
                 continue

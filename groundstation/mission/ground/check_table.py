@@ -104,7 +104,7 @@ def check_rows(
         now_ns: time of the last tick.
     """
     fleet = station.fleet
-    off_m = frame.off_pad_m(fleet, now_ns)
+    off_m = frame.off_pad_m(frame.poses(fleet, now_ns).pos_team_ned_m)
     pose_ns = frame.pose_ns(fleet)
     uncertain_s = fleet.clocks.uncertainty_s()
     rows = []

@@ -15,7 +15,7 @@ from groundstation.core.types import FloatArray
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import NEVER, UNKNOWN
 from groundstation.mission.ground.battery_need import battery_needs
-from groundstation.mission.ground.failsafe import FailsafePlan, make_failsafe
+from groundstation.mission.ground.failsafe import FailsafePlan, OutOfTurn, make_failsafe
 from groundstation.mission.ground.parameters import ParameterCheck
 from groundstation.mission.ground.standing import pad_words, too_near
 from groundstation.mission.plan.plan import MissionPlan
@@ -57,6 +57,7 @@ class Checks:
 
     Attributes:
         failsafe: what the team does by itself.
+        turns: tells when that no longer fits the roles.
     """
 
     def __init__(self, plan: MissionPlan, station: Station, *, look_only: bool = False) -> None:
@@ -65,6 +66,7 @@ class Checks:
         self._needs = battery_needs(plan, self.failsafe)
         self._parameters = ParameterCheck(plan, station, self.failsafe, look_only=look_only)
         self._ids = [vehicle.id for vehicle in plan.spec.vehicles]
+        self.turns = OutOfTurn(self.failsafe, self._ids)
         self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         self._asking = {name: AskAgain(plan.size, _ASK_NS) for name in ("version", "estimator")}
         self._first = Since(plan.size)

@@ -113,23 +113,23 @@ class Preflight:
         self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
 
-    def step(self, now_ns: int, said: Mapping[int, str]) -> GroundState:
+    def step(self, now_ns: int, said: Mapping[int, str], pos_team_ned_m: FloatArray) -> GroundState:
         """Asks for what is missing and looks at what is there.
 
         Args:
             now_ns: time of this tick.
             said: what vehicles refused or warned of, by vehicle.
+            pos_team_ned_m: where they report to stand at this tick, shape (n, 3).
         """
         fleet, state = self._station.fleet, GroundState()
-        self._frame.look(fleet, now_ns)
         self._origins.look(now_ns)
         self.streams.count_bytes(now_ns)
-        off_m = self._frame.off_pad_m(fleet, now_ns)
+        off_m = self._frame.off_pad_m(pos_team_ned_m)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
         # A place that is in doubt accuses nobody else.
         doubted = self._origins.doubted(now_ns)
-        positions = np.where(doubted[:, None], np.nan, self._frame.poses(fleet, now_ns).pos_team_ned_m)
+        positions = np.where(doubted[:, None], np.nan, pos_team_ned_m)
         self._checked = [False] * self._plan.size
         held: list[str] = []  # told together, when nothing else is waited for
         if (team := self.checks.team_problem()) is not None:

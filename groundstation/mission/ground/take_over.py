@@ -103,14 +103,19 @@ class TakeOver:
         self._came_down: BoolArray = np.zeros(n, dtype=np.bool_)
         self._fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
 
-    def step(self, now_ns: int) -> TakeOverState:
-        """Asks for what is missing, and takes whom it can; whoever was killed by the operator is left alone."""
+    def step(self, now_ns: int, pos_team_ned_m: FloatArray) -> TakeOverState:
+        """Asks for what is missing, and takes whom it can; whoever was killed by the operator is left alone.
+
+        Args:
+            now_ns: time of the tick.
+            pos_team_ned_m: where the vehicles report to be at this tick, shape (n, 3).
+        """
         roster = self._roster
         state = TakeOverState(home=np.zeros(self._plan.size, dtype=np.bool_))
         fleet = self._station.fleet
-        self._frame.look_in_flight(fleet, now_ns)
         off_m = self._frame.home_off_pad_m(fleet)
         pose_ns = self._frame.pose_ns(fleet)
+        outside_m = self._fence.outside_m(pos_team_ned_m)
         late = now_ns - self._start_ns >= _PATIENCE_NS
         for vehicle, spec in enumerate(self._plan.spec.vehicles):
             name = f"vehicle {spec.id}"
@@ -139,7 +144,9 @@ class TakeOver:
                 roster.let_go(vehicle)
                 (state.problems if late else state.waiting).append(f"{name}: {problem}")
                 continue
-            waiting = self._hold(vehicle, now_ns) or self._place(vehicle, now_ns, float(off_m[vehicle]), state)
+            waiting = self._hold(vehicle, now_ns) or self._place(
+                vehicle, now_ns, float(off_m[vehicle]), float(outside_m[vehicle]), state
+            )
             if waiting is None and now_ns - int(pose_ns[vehicle]) > self._plan.spec.limits.pose_age_s * SECOND_NS:
                 waiting = "no position yet"
             if waiting is None:
@@ -225,7 +232,7 @@ class TakeOver:
             commands.request(vehicle, autopilot.streaming_mode())
         return f"in mode {autopilot.mode_name(mode)}, asked for {autopilot.streaming_mode().name}"
 
-    def _place(self, vehicle: int, now_ns: int, off_m: float, state: TakeOverState) -> str | None:
+    def _place(self, vehicle: int, now_ns: int, off_m: float, outside_m: float, state: TakeOverState) -> str | None:
         """Whether a vehicle's place is known in the team's frame; returns what is missing."""
         plan, name = self._plan, f"vehicle {self._plan.spec.vehicles[vehicle].id}"
         if not self._frame.known(vehicle):
@@ -241,7 +248,6 @@ class TakeOver:
             return (
                 f"took off {off_m:.2f} m from its pad, limit {plan.limits.pad_error_m:.3g} m; is pad_m or its id right?"
             )
-        outside_m = float(self._fence.outside_m(self._frame.poses(self._station.fleet, now_ns).pos_team_ned_m)[vehicle])
         if not outside_m <= _FENCE_TOLERANCE_M:
             return (
                 f"reports a place {outside_m:.1f} m outside the fence, limit {_FENCE_TOLERANCE_M:g} m; its frame is not"

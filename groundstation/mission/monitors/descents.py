@@ -12,7 +12,6 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mission.flight.standing import landed_age_s
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
@@ -33,7 +32,6 @@ class Descents:
         self._tilt_deg = plan.spec.limits.tilt_deg
         self._above_m, self._beside_m = _ABOVE_M + plan.margin_m, _BESIDE_M + plan.margin_m
         self._ground_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)[:, 2]
-        self._landed_age_s = landed_age_s(plan)
         self._from_ned_m: FloatArray = np.full((n, 3), np.nan)
         self._was_armed: BoolArray = np.zeros(n, dtype=np.bool_)
         self._tilted, self._falls = Lasting(n, _TILTED_S), Lasting(n, _FALLS_S)
@@ -50,7 +48,7 @@ class Descents:
         sinks_m_s = sight.vel_ned_m_s[:, 2]
         height_m = self._ground_ned_m - sight.pos_team_ned_m[:, 2]
         off_m = np.linalg.norm((sight.pos_team_ned_m - self._from_ned_m)[:, :2], axis=1)
-        ended = lands & (fleet.stands(now_ns, self._landed_age_s) | ~fleet.armed)
+        ended = lands & ~sight.airborne
         cut = lands & self._was_armed & ~fleet.armed & (height_m > self._above_m)
         self._was_armed = fleet.armed.copy()
         for vehicle in self._tilted(lands & (tilt_deg > self._tilt_deg), now_ns):

@@ -71,7 +71,7 @@ class Sight:
         lands_here: lands where it is while others fly, shape (n,).
         excused: told to land, shape (n,): it may leave the streaming mode and disarm.
         blind: position lost for good, shape (n,): nothing is judged by where it says it is.
-        airborne: shape (n,).
+        airborne: armed, and does not report to stand on the ground, shape (n,).
         going_on: the mission goes on without a vehicle that is lost.
     """
 

@@ -31,11 +31,12 @@ class _ComingDown(PhaseState):
     def _down_max_ns(self) -> int:
         return _DOWN_MAX_NS
 
-    def _over(self, now_ns: int) -> bool:
+    def _over(self, now_ns: int, poses: Poses) -> bool:
         """Whether it is over; then everything that has to be told of who is left is told."""
         team = self._team
         lost = team.landing.lost(now_ns)
-        up = team.landing.still_up(self.since_ns, now_ns) | (team.killing.not_shown() & ~lost)
+        unsure = team.landing.unsure(now_ns, lost)
+        up = team.landing.still_up(self.since_ns, lost | unsure) | (team.killing.not_shown() & ~lost)
         late = now_ns - self.since_ns >= self._down_max_ns()
         down = self._down(late or not up.any(), now_ns, _DISARMED_NS)
         if not late and not down:
@@ -46,22 +47,22 @@ class _ComingDown(PhaseState):
             abort(
                 f"{names}: not heard from any more, whether it has landed is not known; if it flies, {HELP_IN_THE_AIR}"
             )
-        names = self._names(team.landing.unsure(now_ns))
+        names = self._names(unsure)
         if names:
             abort(f"{names}: stands on the ground and sends no heartbeat, it may still be armed")
         if up.any():
-            self._tell_late(up, now_ns)
-        flying = team.airborne(now_ns) & ~lost & ~team.roster.killed & ~up
+            self._tell_late(up, poses)
+        flying = team.standing.airborne(now_ns) & ~lost & ~team.roster.killed & ~up
         for text in still_flying(team.fleet, team.plan, flying, now_ns):
             abort(text)
         team.verdict.complete()
         return True
 
-    def _tell_late(self, up: BoolArray, now_ns: int) -> None:
+    def _tell_late(self, up: BoolArray, poses: Poses) -> None:
         """Says of those that are still up when nobody waits any longer what is left to do."""
         team, waited_s = self._team, self._down_max_ns() // SECOND_NS
         killed = team.roster.killed
-        height_m = team.height_m(team.frame.poses(team.fleet, now_ns).pos_team_ned_m)
+        height_m = team.height_m(poses.pos_team_ned_m)
         for vehicle in np.flatnonzero(up & killed).tolist():
             team.verdict.abort(
                 f"{team.name(vehicle)}: told to stop its motors, and still armed by its own report"
@@ -94,7 +95,7 @@ class LandPhase(_ComingDown):
             team.landing.disarm_on_the_ground(now_ns)
         else:
             team.landing.want(range(team.plan.size), now_ns)
-        event = Event.DOWN if self._over(now_ns) else None
+        event = Event.DOWN if self._over(now_ns, poses) else None
         if not team.roster.follows.any():
             return Step(event=event)  # the autopilots land by themselves, nobody is left to be steered
         places_ned_m = team.places_ned_m(team.formation.gather_ned_m)
@@ -128,7 +129,7 @@ class SilentPhase(_ComingDown):
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Waits until everybody is down."""
-        return Step(event=Event.DOWN if self._over(now_ns) else None)
+        return Step(event=Event.DOWN if self._over(now_ns, poses) else None)
 
 
 class DonePhase(PhaseState):

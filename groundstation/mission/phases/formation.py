@@ -37,7 +37,7 @@ class FormationPhase(PhaseState):
         """Flies the formation; those that have dropped out fly apart."""
         team, formation = self._team, self._team.formation
         tick = formation.step(now_ns, poses, team.absent(), team.board.wind.sway_m)
-        words = team.turns.words(formation.role_of_agent, formation.formation.points_enu_m)
+        words = team.preflight.checks.turns.words(formation.role_of_agent, formation.formation.points_enu_m)
         if words is not None:
             team.verdict.note("alarm", words)
         event = None

@@ -28,10 +28,14 @@ class ConnectPhase(PhaseState):
         self._check_only = check_only
         self._ready = Held()
 
+    def locate(self, now_ns: int) -> None:
+        """Where the vehicles' frames lie is followed until it is settled."""
+        self._team.frame.look(self._team.fleet, now_ns)
+
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Goes on with preflight."""
         team, verdict = self._team, self._team.verdict
-        state = team.preflight.step(now_ns, team.words.by_vehicle(now_ns - REASONS_NS))
+        state = team.preflight.step(now_ns, team.words.by_vehicle(now_ns - REASONS_NS), poses.pos_team_ned_m)
         for note in state.notes:
             verdict.note("info", note)
         verdict.trouble(state.fatal + state.waiting)
@@ -67,7 +71,7 @@ class ArmPhase(PhaseState):
 
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
-        self.arming = Arming(team.plan, team.fleet, team.station.commands)
+        self.arming = Arming(team.plan, team.fleet, team.station.commands, team.standing)
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""

@@ -45,7 +45,7 @@ class PausePhase(PhaseState):
         self.instead: Phase | None = None
         self._rest_ned_m = team.rest_ned_m(entry.poses)
         # Who has left the ground stays where it is; a climb by command would go on to its end.
-        team.roster.end_climb(team.airborne(entry.now_ns))
+        team.roster.end_climb(team.standing.airborne(entry.now_ns))
 
     @property
     def goes_on_with(self) -> Phase:

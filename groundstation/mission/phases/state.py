@@ -69,6 +69,9 @@ class PhaseState:
         """Whether anything is sent at all, heartbeats too."""
         return True
 
+    def locate(self, now_ns: int) -> None:
+        """Before poses are worked out: takes what the vehicles tell of their own frames, where that is not settled."""
+
     def step(self, now_ns: int, poses: Poses) -> Step:
         """One tick.
 

@@ -24,7 +24,7 @@ class TakeoffPhase(PhaseState):
 
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
-        self._climb = Climb(team.plan, team.roster, team.helm.guide.beside_m)
+        self._climb = Climb(team.plan, team.roster, team.helm.guide.beside_m, team.standing)
         self._there = Held()
 
     def leave(self, to: Phase) -> None:

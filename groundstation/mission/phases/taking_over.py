@@ -28,10 +28,14 @@ class TakeOverPhase(PhaseState):
             team.plan, team.station, team.frame, team.preflight, roster=team.roster, start_ns=entry.now_ns
         )
 
+    def locate(self, now_ns: int) -> None:
+        """Where the vehicles' frames lie is found out from where they took off."""
+        self._team.frame.look_in_flight(self._team.fleet, now_ns)
+
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Goes on taking over."""
         team, verdict = self._team, self._team.verdict
-        state = self.take_over.step(now_ns)
+        state = self.take_over.step(now_ns, poses.pos_team_ned_m)
         for note in state.notes:
             verdict.note("info", note)
         verdict.trouble(state.problems + state.waiting)
