@@ -5,14 +5,13 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
-import groundstation
 from groundstation.core.errors import UserError
 from groundstation.core.files import is_file
 
 
 def packaged_configs() -> Path:
     """Folder of the configurations that come along: inside the wheel, or at the top of a checkout."""
-    package = Path(groundstation.__file__).parent
+    package = Path(__file__).parents[1]
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
 
