@@ -9,8 +9,8 @@ Example:
     >>> formation = gs.load_formation("pair2")
     >>> formation.size
     2
-    >>> mission = gs.load_mission("first_flight2", {"steps.1.hold.seconds": 2})
-    >>> flown = gs.simulate(mission, seed=1, log="pair.tlog")
+    >>> mission = gs.load_mission("hello1", {"steps": [{"hover": {"seconds": 2}}]})
+    >>> flown = gs.simulate(mission, seed=1, log="hello.tlog")
     >>> flown.outcome
     'completed'
     >>> gs.verify(flown.log).mismatches
@@ -192,8 +192,9 @@ def simulate(
 
     Example:
         >>> heights = []
-        >>> flown = simulate("first_flight2", on_tick=lambda tick: heights.append(tick.pos_enu_m[:, 2].max()))
-        >>> bool(2.9 < max(heights) < 3.5)
+        >>> mission = load_mission("hello1", {"steps": [{"hover": {"seconds": 1}}], "takeoff.height_m": 2.0})
+        >>> flown = simulate(mission, on_tick=lambda tick: heights.append(tick.pos_enu_m[:, 2].max()))
+        >>> bool(1.5 < max(heights) < 2.5)
         True
     """
     from groundstation.app.emulator import read_faults

@@ -105,7 +105,7 @@ def test_what_is_wrong_is_said_by_its_key(changes: list[str], message: str) -> N
         ("name: [unclosed\n", "is not valid YAML"),
         ("name: a\nname: b\n", "key 'name' is given twice"),
         ("!!python/object/apply:os.system ['true']\n", "is not valid YAML"),
-        ("name: a\n", "formation: is missing"),
+        ("name: a\n", "avoidance: is missing"),
     ],
 )
 def test_files_that_are_no_missions(text: str, message: str, tmp_path: Path) -> None:

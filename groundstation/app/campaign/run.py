@@ -299,7 +299,7 @@ class _Flown:
             "nearest_pair": f"{ids[0]}-{ids[1]}" if math.isfinite(self._min_m) else "",
             "min_obedient_m": _finite(self._min_obedient_m),
             "min_clearance": _finite(self._min_clearance),
-            "start_distance_m": float(pads[np.triu_indices(plan.size, 1)].min()),
+            "start_distance_m": _finite(float(pads[np.triu_indices(plan.size, 1)].min(initial=math.inf))),
             "gridlocks": int(figures.gridlocks),
             "role_swaps": int(figures.role_swaps),
             "detours": int(figures.detours),

@@ -24,16 +24,15 @@ _README = """# {name}
 | --- | --- |
 | `mission.yaml` | the mission: vehicles, pads, links, speeds, safety radius, steps |
 {formations}
-
 ```
 gs fly --mission mission.yaml --dry-run      # on the emulator: no vehicle moves
 gs report flights/{name}-seed0.tlog -o report
-gs design {first}                        # what the sensing graph is worth
 gs check --mission mission.yaml              # preflight of the real vehicles; arms nothing
 ```
-
-Gains are designed when the mission is loaded. To keep them: `gs design {first} -o gains.npz`, and write
-`gains: gains.npz` into the mission.
+"""
+_README_GAINS = """
+`gs design {first}` tells what the sensing graph is worth. Gains are designed when the mission is loaded. To keep them:
+`gs design {first} -o gains.npz`, and write `gains: gains.npz` into the mission.
 """
 
 
@@ -74,15 +73,17 @@ def init(
     source = find_config(Path(like), "missions")
     text = source.read_text(encoding="utf-8")
     formations = sorted({*_FORMATION.findall(text)})
-    if not formations:
+    if not formations and re.search(r"^formation:", text, flags=re.MULTILINE):
         raise UserError(f"--like {like}: names no formation in ../formations; take one that gs missions lists")
     text = re.sub(r"^name: .*$", f"name: {folder.name}", text, count=1, flags=re.MULTILINE)
     text = _FORMATION.sub(r"\1", _GAINS_KEY.sub("", _GAINS_LINE.sub("", text)))
     files = {"mission.yaml": text}
     for formation in formations:
         files[formation] = (source.parent.parent / "formations" / formation).read_text(encoding="utf-8")
-    listed = "\n".join(f"| `{item}` | a formation: points and sensing graph |" for item in formations)
-    files["README.md"] = _README.format(name=folder.name, formations=listed, first=formations[0])
+    listed = "".join(f"| `{item}` | a formation: points and sensing graph |\n" for item in formations)
+    files["README.md"] = _README.format(name=folder.name, formations=listed)
+    if formations:
+        files["README.md"] += _README_GAINS.format(first=formations[0])
     _write(folder, files)
     mission = folder / "mission.yaml"
     out.console.print(Text(f"made {folder}: {', '.join(files)}"))

@@ -100,6 +100,8 @@ class FormationFlight:
 
     def error_m(self, pos_m: FloatArray) -> float:
         """Largest |d_ij - d*_ij| over all pairs, of positions in any one frame, shape (n, 3); size free where it is."""
+        if self._doing is not None and not self._doing.formed:
+            return float("nan")
         members = self._roster.in_formation
         here, roles = pos_m[members], self.role_of_agent[members]
         if self._now.stage.scale.kind == "free":
@@ -152,7 +154,7 @@ class FormationFlight:
         Returns:
             Why the team cannot go on without them, empty when it can.
         """
-        if len(self._plan.stages) > 1 or self._plan.moves:
+        if len(self._plan.stages) > 1 or self._plan.moves or self._plan.places_enu_m:
             return "a mission of several formations, or with moves, is not flown on without one of its vehicles"
         gone = ~self._roster.in_formation
         n, left = self._plan.size, int((~gone).sum())
@@ -227,6 +229,9 @@ class FormationFlight:
         follows = self.next_step(now_ns, poses) if tick.done else None
         if self._task is None:
             raise RuntimeError("formation flight without roles")
+        if tick.places_ned_m is not None:
+            flown = self._helm.to_targets(poses, tick.places_ned_m)
+            return FormationTick(flown.vel_ned_m_s, follows, tick.give_up)
         forming = follows is None and doing.swaps
         points_m = self._now.formation.points_enu_m[self.role_of_agent]
         kept = self._now.keeper.motion(pos_enu_m, counts, points_m)

@@ -17,7 +17,16 @@ from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.free_size import Sizes, missed, sizes_of, stands_at
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.under_way import UnderWay
-from groundstation.mission.plan.schema import FormStep, HoldStep, MoveStep, Step
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.schema import (
+    FormStep,
+    GoToStep,
+    HoldStep,
+    HoverStep,
+    MoveStep,
+    Step,
+    WaypointsStep,
+)
 from groundstation.mission.timing import SECOND_NS, Held
 
 _HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
@@ -26,6 +35,7 @@ _PACE_DOWN_S = 0.3
 _MOVE_PATIENCE = 3.0  # times its duration, and _MOVE_SPARE_S, after which a move that is held up is given up
 _MOVE_SPARE_S = 10.0
 _FENCE_SPARE_M = 0.05
+_PLACE_M, _OF_MARGIN = 0.15, 0.35
 
 
 @dataclass(frozen=True)
@@ -67,12 +77,14 @@ class StepTick:
         give_up: why the mission cannot go on; empty while it can.
         motion: what the formation does as one; None at rest.
         present: the part of it that shows in velocities already.
+        places_ned_m: everybody flies there, shape (n, 3), and forms nothing; None in formation.
     """
 
     done: bool = False
     give_up: str = ""
     motion: Motion | None = None
     present: Motion | None = None
+    places_ned_m: FloatArray | None = None
 
 
 class StepFlight:
@@ -87,6 +99,8 @@ class StepFlight:
     """Name of the phase in which it is flown."""
     swaps: ClassVar[bool] = False
     """Whoever is locked in may swap roles or go round others."""
+    formed: ClassVar[bool] = True
+    """Flies the formation, whose distances count."""
 
     def __init__(self, flown: UnderWay, now_ns: int) -> None:
         self._flown = flown
@@ -294,6 +308,82 @@ class Moving(StepFlight):
         )
 
 
+class _ToPlaces(StepFlight):
+    """Everybody has a place: where it is, or as far from where the team's middle goes as it is from that now."""
+
+    formed = False
+
+    def __init__(self, flown: UnderWay, now_ns: int) -> None:
+        super().__init__(flown, now_ns)
+        self._from_middle_ned_m: FloatArray | None = None
+        self._middle_ned_m: FloatArray = np.zeros(3)
+
+    def _begin(self, now: Now) -> FloatArray:
+        """Takes where everybody comes to rest at the beginning; returns offsets from the middle, shape (n, 3)."""
+        if self._from_middle_ned_m is None:
+            rest_ned_m = now.poses.pos_team_ned_m + self._flown.settle_s * now.poses.vel_ned_m_s
+            counts = self._flown.members & np.isfinite(rest_ned_m).all(axis=1)
+            self._middle_ned_m = rest_ned_m[counts].mean(axis=0) if counts.any() else np.zeros(3)
+            # Whoever is not seen now counts as in the middle: monitors hold it, and avoidance keeps the others off it.
+            self._from_middle_ned_m = np.nan_to_num(rest_ned_m - self._middle_ned_m)
+        return self._from_middle_ned_m
+
+
+class Hovering(_ToPlaces):
+    """Stays where it is for its time."""
+
+    phase = "hold"
+
+    def __init__(self, flown: UnderWay, now_ns: int, step: HoverStep) -> None:
+        super().__init__(flown, now_ns)
+        self._step = step
+
+    def tick(self, now: Now) -> StepTick:
+        """Stays."""
+        places_ned_m = self._begin(now) + self._middle_ned_m
+        done = now.now_ns - self._since_ns >= self._step.seconds * SECOND_NS
+        return StepTick(done=done, places_ned_m=places_ned_m)
+
+
+class Going(_ToPlaces):
+    """Flies through places, the last of which is reached when everybody has been there for a second."""
+
+    phase = "move"
+
+    def __init__(self, flown: UnderWay, now_ns: int, step: GoToStep | WaypointsStep) -> None:
+        super().__init__(flown, now_ns)
+        self._step = step
+        self._places_ned_m: FloatArray = frames.ned_from_enu(flown.plan.places_enu_m[flown.number])
+        self._leg = 0
+
+    def tick(self, now: Now) -> StepTick:
+        """Flies on, to the next place when this one is reached."""
+        flown, step = self._flown, self._step
+        from_middle_ned_m = self._begin(now)
+        to_ned_m = from_middle_ned_m + self._places_ned_m[self._leg]
+        off_m = np.where(flown.members, np.linalg.norm(now.poses.pos_team_ned_m - to_ned_m, axis=1), 0.0)
+        near_m = (step.tolerance_m or place_tolerance_m(flown.plan)) + 0.5 * now.sway_m
+        there = bool((off_m <= near_m).all())
+        last = self._leg == len(self._places_ned_m) - 1
+        if there and not last:
+            self._leg += 1
+            self._since_ns = now.now_ns
+        elif not there and now.now_ns - self._since_ns >= step.timeout_s * SECOND_NS:
+            worst = int(np.argmax(np.where(np.isfinite(off_m), off_m, np.inf)))
+            where = " ".join(f"{value:.2f}" for value in frames.enu_from_ned(to_ned_m[worst]))
+            how = f"{off_m[worst]:.2f} m from" if np.isfinite(off_m[worst]) else "not known to be at"
+            vehicle = flown.plan.spec.vehicles[worst].id
+            why = f"vehicle {vehicle} is {how} its place {where} m (ENU), limit is {near_m:.2f} m"
+            return StepTick(give_up=f"not there after {step.timeout_s:g} s: {why}", places_ned_m=to_ned_m)
+        done = self._held(there, now.now_ns) and last
+        return StepTick(done=done, places_ned_m=from_middle_ned_m + self._places_ned_m[self._leg])
+
+
+def place_tolerance_m(plan: MissionPlan) -> float:
+    """How near to a place counts as there: 0.15 m, or what positions may be off where that is more."""
+    return max(_PLACE_M, _OF_MARGIN * plan.margin_m)
+
+
 def step_flight(flown: UnderWay, now_ns: int, step: Step) -> StepFlight:
     """The class that flies a step, at its beginning."""
     match step:
@@ -303,3 +393,7 @@ def step_flight(flown: UnderWay, now_ns: int, step: Step) -> StepFlight:
             return Holding(flown, now_ns, step)
         case MoveStep():
             return Moving(flown, now_ns, step)
+        case HoverStep():
+            return Hovering(flown, now_ns, step)
+        case GoToStep() | WaypointsStep():
+            return Going(flown, now_ns, step)

@@ -9,12 +9,14 @@ shorter ``endurance_s``.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from groundstation.core.assignment import fixed_roles
+from groundstation.core.types import FloatArray
 from groundstation.mission.ground.failsafe import FailsafePlan
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -64,7 +66,14 @@ def flight_time_s(plan: MissionPlan, failsafe: FailsafePlan) -> float:
     move_s = _DETOUR * way_m / slow_m_s + _SETTLE_S + 3.0 * plan.profile.lag_s
     total_s = height_m / min(speed_m_s, plan.profile.climb_m_s) + _SETTLE_S
     total_s += sum(step.longest_s(move_s) for step in plan.spec.steps)
+    total_s += _places_way_m(plan, gathered.mean(axis=0)) / slow_m_s + _SETTLE_S * len(plan.places_enu_m)
     return total_s + move_s + height_m / _LANDING_M_S + _LANDED_S
+
+
+def _places_way_m(plan: MissionPlan, from_m: FloatArray) -> float:
+    """The way through all places that are flown to, and back."""
+    stops = [from_m, *(place for number in sorted(plan.places_enu_m) for place in plan.places_enu_m[number]), from_m]
+    return float(sum(np.linalg.norm(there - here) for here, there in itertools.pairwise(stops)))
 
 
 def battery_needs(plan: MissionPlan, failsafe: FailsafePlan) -> tuple[BatteryNeed, ...]:

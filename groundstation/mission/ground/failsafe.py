@@ -189,7 +189,7 @@ def _against_returning(plan: MissionPlan, back: _Return) -> tuple[str, str] | No
     """Why the team cannot return one above the other, and what helps; None where it can."""
     spec = plan.spec.failsafe
     ceiling_m = spec.ceiling_m if spec.ceiling_m is not None else plan.spec.fence.max_m[2]
-    if len(set(plan.stage_of_step)) > 1 or plan.moves:
+    if plan.size > 1 and (len(set(plan.stage_of_step)) > 1 or plan.moves or plan.places_enu_m):
         return "a mission of several formations, or with moves, leaves open who flies above whom", "let them hold"
     radius_m = plan.spec.avoidance.radius_m
     stairs = np.argwhere(pads_above(plan.pads_enu_m, radius_m)).tolist()
@@ -205,6 +205,7 @@ def _against_returning(plan: MissionPlan, back: _Return) -> tuple[str, str] | No
     higher = "raise failsafe.ceiling_m, or let them hold"
     if back.top_m > ceiling_m:
         needed = f"{plan.size} vehicles that return one above the other need {back.top_m:.1f} m of height"
+        needed = needed if plan.size > 1 else f"a vehicle that returns needs {back.top_m:.1f} m of height"
         return f"{needed}, there are {ceiling_m:g} m (failsafe.ceiling_m)", higher
     if not back.in_time:
         return f"{plan.size} vehicles that return one after the other take too long for their autopilots", higher
@@ -222,6 +223,7 @@ def _top_m(plan: MissionPlan) -> float:
     heights = plan.formation.points_enu_m[:, 2]
     middle_m = plan.spec.takeoff.height_m + float(plan.pads_enu_m[:, 2].mean())
     top = max(middle_m + float(heights.max() - heights.mean()), plan.min_altitude_m + float(np.ptp(heights)))
+    top = max([top, *(float(places[:, 2].max()) for places in plan.places_enu_m.values() if len(places))])
     return max(top, plan.spec.takeoff.height_m + plan.spec.takeoff.stagger_m / 2.0 + float(plan.pads_enu_m[:, 2].max()))
 
 

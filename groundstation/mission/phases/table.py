@@ -96,7 +96,7 @@ _ROWS: dict[Phase, dict[Event, Next]] = {
         Event.FAULT: Phase.SILENT,
     },
     Phase.ARM: dict.fromkeys(_ON_THE_GROUND, Phase.LAND) | _ALWAYS | {Event.ARMED: Phase.TAKEOFF},
-    Phase.TAKEOFF: _UP | {Event.NEXT_FORM: Phase.FORM},
+    Phase.TAKEOFF: _UP | {Event.NEXT_FORM: Phase.FORM, Event.NEXT_HOLD: Phase.HOLD, Event.NEXT_MOVE: Phase.MOVE},
     Phase.FORM: _STEP,
     Phase.HOLD: _STEP,
     Phase.MOVE: _STEP,

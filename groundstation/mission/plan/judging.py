@@ -27,8 +27,8 @@ from groundstation.mission.plan.positioning import (
     margin_m,
 )
 from groundstation.mission.plan.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
-from groundstation.mission.plan.schema import FormStep, MissionSpec
-from groundstation.mission.plan.stages import Shape, check_clearance, check_shape, make_stages, plan_moves
+from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mission.plan.stages import Shape, check_clearance, check_order, check_shape, make_stages, plan_moves
 from groundstation.mission.plan.wind import check_wind, gust_margin_m, room_for_wind, wind_limit
 
 
@@ -52,8 +52,7 @@ def build_plan(
         UserError: they do not fit each other.
     """
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
-    if not isinstance(spec.steps[0], FormStep):
-        raise UserError(f"{source}: steps[0]: the first step has to be `form`; there is nothing to hold before it")
+    check_order(spec, source)
     shapes = {"formation": first} | {f"steps[{number}].form": shape for number, shape in (others or {}).items()}
     profiles = known_profiles(spec, source)
     _check_vehicles(spec, first.formation, source, profiles)
@@ -66,7 +65,8 @@ def build_plan(
         )
     region = region_of(spec, profile)
     _check_pads(spec, pads, region, source)
-    for key, shape in shapes.items():
+    formed = {key: shape for key, shape in shapes.items() if shape.formed}
+    for key, shape in formed.items():
         check_shape(spec, shape.formation, region, floor_m=_floor(spec), source=source, key=key)
     _check_takeoff(spec, pads, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
@@ -76,8 +76,10 @@ def build_plan(
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
-    formations = {key: shape.formation.points_enu_m for key, shape in shapes.items()}
-    for key, shape in shapes.items():
+    formations = {key: shape.formation.points_enu_m for key, shape in formed.items()}
+    if not formed:
+        check_radius(source, {"pads": pads}, region=region, position_error_m=position_error_m, positioning=positioning)
+    for key, shape in formed.items():
         of_all = {"pads": pads} if key == "formation" else {}
         check_radius(
             source if key == "formation" else f"{source}: {key}",
@@ -100,7 +102,7 @@ def build_plan(
         check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
     acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
     stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s, source=source)
-    moves, room_m = plan_moves(
+    moves, places, room_m = plan_moves(
         spec,
         stages,
         stage_of_step,
@@ -126,6 +128,7 @@ def build_plan(
         stages=stages,
         stage_of_step=stage_of_step,
         moves=moves,
+        places_enu_m=places,
         room_m=room_m,
         vehicle_profiles=vehicle_profiles,
         profile=profile,
@@ -202,7 +205,7 @@ def _check_vehicles(
     spec: MissionSpec, formation: Formation, source: str, profiles: Mapping[str, VehicleProfile]
 ) -> None:
     vehicles = spec.vehicles
-    if len(vehicles) != formation.size:
+    if spec.formation is not None and len(vehicles) != formation.size:
         raise UserError(
             f"{source}: vehicles: {len(vehicles)} listed, formation {formation.name} has {formation.size} points;"
             " list one vehicle for each point"

@@ -112,7 +112,8 @@ class MissionPlan(LinkPlan, FormationPlan):
             shapes.append({"step": number, "formation": _plain(shape.formation), "gains_npz_base64": encoded})
         code = {key: item.record() for key, item in self.own_code.items()}
         beside = {**({"shapes": shapes} if shapes else {}), **({"own_code": code} if code else {})}
-        return {**values, "formation": _plain(self.formation), **beside}
+        formation = _plain(self.formation) if self.spec.formation is not None else None
+        return {**values, "formation": formation, **beside}
 
 
 def region_of(spec: MissionSpec, profile: VehicleProfile) -> SafetyRegion:

@@ -28,7 +28,7 @@ from groundstation.mission.plan.own_code import CodeSource
 from groundstation.mission.plan.own_trial import check_own_code
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import FormStep, MissionSpec
-from groundstation.mission.plan.stages import Shape
+from groundstation.mission.plan.stages import Shape, no_formation
 
 
 def read_spec(path: Path, overrides: Sequence[str] = ()) -> MissionSpec:
@@ -59,7 +59,10 @@ def load_mission(path: Path, overrides: Sequence[str] = (), code: CodeSource | N
     """
     spec = read_spec(path, overrides)
     shapes = _Shapes(path)
-    first = shapes.read(spec.formation, spec.gains, spec.formation_scale)
+    if spec.formation is None:
+        first = no_formation(spec)
+    else:
+        first = shapes.read(spec.formation, spec.gains, spec.formation_scale)
     others = {}
     for number, step in enumerate(spec.steps):
         if isinstance(step, FormStep) and step.own_shape:
@@ -67,7 +70,7 @@ def load_mission(path: Path, overrides: Sequence[str] = (), code: CodeSource | N
             # Gains belong to points: those of the mission go with the mission's formation only.
             gains = form.gains if form.formation is not None or form.gains is not None else spec.gains
             size = form.formation_scale if form.formation is not None or form.formation_scale else spec.formation_scale
-            others[number] = shapes.read(form.formation or spec.formation, gains, size, f"steps[{number}].form.")
+            others[number] = shapes.read(form.formation or spec.formation or "", gains, size, f"steps[{number}].form.")
     plan = build_plan(spec, first, str(path), others, code or CodeSource((path.parent, Path())))
     check_own_code(plan)
     check_acceleration(plan)
@@ -126,16 +129,19 @@ def plan_from_record(
         UserError: the record is not one of ours, or what it holds does not fit together.
     """
     values = dict(mission)
+    without = "formation" in values and values["formation"] is None
     points = values.pop("formation", None)
-    if not isinstance(points, Mapping):
+    if not isinstance(points, Mapping) and not without:
         raise UserError(f"{source}: mission.formation: is missing, the manifest is not one of a mission")
     shapes = values.pop("shapes", [])
     code = replace(code or CodeSource(), flown=values.pop("own_code", {}))
-    name = str(points.get("name"))
+    name = None if points is None else str(points.get("name"))
     spec = validate(MissionSpec, {**values, "formation": name, "gains": None}, f"{source}: mission")
-    first = _shape_from_record(
-        points, gains_npz, f"{source}: mission.formation", resized=spec.formation_scale is not None
-    )
+    if points is None:
+        first = no_formation(spec)
+    else:
+        where = f"{source}: mission.formation"
+        first = _shape_from_record(points, gains_npz, where, resized=spec.formation_scale is not None)
     others: dict[int, Shape] = {}
     try:
         for item in shapes:

@@ -172,6 +172,55 @@ class MoveStep(StepSpec):
         return move_s if self.seconds is None else self.seconds
 
 
+class PlaceStep(StepSpec):
+    """A step in which vehicles fly to places, or stay in theirs, and form nothing."""
+
+    def places_m(self) -> tuple[Point, ...]:
+        """Where the middle of the team goes, one place after the other; none where it stays."""
+        return ()
+
+    def longest_s(self, move_s: float) -> float:
+        """What it stays; the ways are reckoned from the places."""
+        return 0.0
+
+
+class HoverStep(PlaceStep):
+    """Stay where everybody is."""
+
+    kind: ClassVar[str] = "hover"
+    seconds: Positive = 5.0
+
+    def longest_s(self, move_s: float) -> float:
+        """As long as it says."""
+        return self.seconds
+
+
+class GoToStep(PlaceStep):
+    """Fly to a place: the middle of the team, and everybody in step with it."""
+
+    kind: ClassVar[str] = "go_to"
+    to_m: Point
+    tolerance_m: Positive | None = None
+    timeout_s: Positive = 60.0
+
+    def places_m(self) -> tuple[Point, ...]:
+        """The one."""
+        return (self.to_m,)
+
+
+class WaypointsStep(PlaceStep):
+    """Fly through places to the last of them, with so much time for each."""
+
+    kind: ClassVar[str] = "waypoints"
+    through_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=1_000)]
+    tolerance_m: Positive | None = None
+    timeout_s: Positive = 60.0
+
+    def places_m(self) -> tuple[Point, ...]:
+        """All of them."""
+        return self.through_m
+
+
 def _kind_of(value: object) -> str | None:
     """The key of an item."""
     if isinstance(value, StepSpec):
@@ -186,7 +235,12 @@ def _one_key(value: object) -> object:
 
 
 Step = Annotated[
-    Annotated[FormStep, Tag("form")] | Annotated[HoldStep, Tag("hold")] | Annotated[MoveStep, Tag("move")],
+    Annotated[FormStep, Tag("form")]
+    | Annotated[HoldStep, Tag("hold")]
+    | Annotated[MoveStep, Tag("move")]
+    | Annotated[HoverStep, Tag("hover")]
+    | Annotated[GoToStep, Tag("go_to")]
+    | Annotated[WaypointsStep, Tag("waypoints")],
     Discriminator(_kind_of),
     BeforeValidator(_one_key),
 ]
@@ -315,7 +369,7 @@ class _FormationKeys(_Strict):
     """What is formed, and by which law."""
 
     name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
-    formation: str
+    formation: str | None = None
     formation_scale: Positive | None = None
     gains: str | None = None
     law: OwnCodeName | None = None
@@ -357,4 +411,4 @@ class MissionSpec(_CourseKeys):
     link_bytes_per_s: dict[str, Positive] = {}
     signing: SigningSpec | None = None
     profiles: dict[str, ProfileSpec] = {}
-    vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=2)]
+    vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=1)]

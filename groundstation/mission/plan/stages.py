@@ -24,7 +24,7 @@ from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
 from groundstation.mission.plan.profiles import VehicleProfile
-from groundstation.mission.plan.schema import FormStep, MissionSpec, MoveStep, ScaleSpec
+from groundstation.mission.plan.schema import FormStep, MissionSpec, MoveStep, PlaceStep, ScaleSpec
 
 MOVE_SHARE = 0.5
 """Share of the speed and acceleration limits that a move may ask for; the rest is for keeping the formation."""
@@ -45,6 +45,19 @@ class Shape:
     formation: Formation
     gains: Gains
     gains_npz: bytes
+
+    @property
+    def formed(self) -> bool:
+        """Whether it is a formation at all; False for a mission without one."""
+        return bool(self.gains_npz)
+
+
+def no_formation(spec: MissionSpec) -> Shape:
+    """Stands where a mission names no formation: everybody's pad, and nobody sees anybody."""
+    points = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64) * [1.0, 1.0, 0.0]
+    n = len(points)
+    nothing = Gains(xy=np.zeros((n, n), dtype=np.complex128), z=np.zeros((n, n)))
+    return Shape(Formation(name="none", points_enu_m=points, edges=()), nothing, b"")
 
 
 @dataclass(frozen=True)
@@ -83,12 +96,14 @@ class FormationPlan:
         stages: the formations with their gains and laws, the one at the top of the mission first.
         stage_of_step: stage under way in each step.
         moves: ``move`` steps by their number.
+        places_enu_m: where the middle of the team goes in steps that fly to places, by their number, shape (k, 3).
         room_m: what the formations leave between two safety regions at least, at any size they are given.
     """
 
     stages: tuple[Stage, ...]
     stage_of_step: tuple[int, ...]
     moves: Mapping[int, MovePlan]
+    places_enu_m: Mapping[int, FloatArray]
     room_m: float
 
     @property
@@ -139,6 +154,8 @@ def make_stage(
         UserError: nothing would pull the vehicles; names ``source``, the mission's file, and the key.
     """
     law = scale or spec.scale
+    if not shape.formed:
+        return Stage(key, shape, 1.0, ScaleFunction(), 0.0, assignment="fixed", swaps=False)
     function = ScaleFunction(kind=law.kind, gain=law.gain)
     # The upright term fixes the vertical scale, which a free scale leaves to the start.
     upright_1_s = 0.0 if law.kind == "free" else spec.upright_1_s
@@ -207,6 +224,32 @@ def make_stages(
                 )
         of_step.append(current)
     return tuple(stages), tuple(of_step)
+
+
+def check_order(spec: MissionSpec, source: str) -> None:
+    """Refuses steps that have nothing to go on from.
+
+    Raises:
+        UserError: with the step.
+    """
+    formed = False
+    for number, step in enumerate(spec.steps):
+        key = f"{source}: steps[{number}]"
+        if isinstance(step, FormStep):
+            formed = True
+            if spec.formation is None:
+                raise UserError(f"{source}: formation: is missing, give it a value: steps[{number}] forms one")
+        elif isinstance(step, PlaceStep):
+            formed = False
+        elif not formed and number == 0:
+            raise UserError(
+                f"{key}: the first step has to be `form`, or to fly to places; there is nothing to {step.kind}"
+            )
+        elif not formed:
+            raise UserError(
+                f"{key}: {step.kind} is of a formation, and steps[{number - 1}] leaves it; put a `form` step before it,"
+                " or hover"
+            )
 
 
 def shortest_m(formation: Formation) -> float:
@@ -306,19 +349,21 @@ def plan_moves(
     position_error_m: float,
     positioning: str,
     source: str,
-) -> tuple[dict[int, MovePlan], float]:
-    """Judges every ``move`` step and gives those without a duration the shortest one.
+) -> tuple[dict[int, MovePlan], dict[int, FloatArray], float]:
+    """Judges every ``move`` step, gives those without a duration the shortest one, and judges places flown to.
 
     The centre of the team is taken to stay where the takeoff leaves it, above the middle of the pads, and as high as
     the floor demands; the law does not move it. In flight every move is judged again by where the team is.
 
     Returns:
-        The moves by number of their step, and what the formations leave between two safety regions at least.
+        The moves and the places by number of their step, and what the formations leave between two safety regions.
 
     Raises:
         UserError: with key, value, limit and remedy.
     """
     moves: dict[int, MovePlan] = {}
+    flown_to: dict[int, FloatArray] = {}
+    together, turned = pads_enu_m - pads_enu_m.mean(axis=0), False  # how everybody is around the middle
     places = _places(spec, stages, stage_of_step) | {"pads": pads_enu_m}
     size, least = 1.0, min(region.room_m(all_offsets(stage.formation.points_enu_m)) for stage in stages)
     centre = pads_enu_m.mean(axis=0) + np.array([0.0, 0.0, spec.takeoff.height_m])
@@ -328,6 +373,7 @@ def plan_moves(
         if isinstance(step, FormStep):
             size = 1.0
             centre[2] = max(centre[2], floor_m - float(points[:, 2].min()))
+            together, turned = points, True
         elif isinstance(step, MoveStep):
             key = f"{source}: steps[{number}].move"
             move = _timed(step, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
@@ -352,7 +398,14 @@ def plan_moves(
                 )
             centre = centre + move.by_enu_m
             _check_fence(spec, size * points, centre, floor_m, key)
-    return moves, least
+            together = size * points
+        elif isinstance(step, PlaceStep):
+            flown_to[number] = np.array(step.places_m(), dtype=np.float64).reshape(-1, 3)
+            for place_m in flown_to[number]:
+                key = f"{source}: steps[{number}].{step.kind}"
+                _check_fence(spec, together, place_m, floor_m, key, told=True, turned=turned)
+                centre = place_m.copy()
+    return moves, flown_to, least
 
 
 def _places(spec: MissionSpec, stages: Sequence[Stage], stage_of_step: Sequence[int]) -> dict[str, FloatArray]:
@@ -388,13 +441,36 @@ def _timed(step: MoveStep, points_m: FloatArray, speed_limit_m_s: float, accel_m
     return move
 
 
-def _check_fence(spec: MissionSpec, points_m: FloatArray, centre_m: FloatArray, floor_m: float, key: str) -> None:
-    """Refuses a move that ends outside the fence, whatever the formation's heading."""
+def _check_fence(
+    spec: MissionSpec,
+    points_m: FloatArray,
+    centre_m: FloatArray,
+    floor_m: float,
+    key: str,
+    *,
+    told: bool = False,
+    turned: bool = True,
+) -> None:
+    """Refuses a move that ends outside the fence.
+
+    Args:
+        spec: with the fence.
+        points_m: everybody from the middle, shape (n, 3).
+        centre_m: where the middle ends.
+        floor_m: lowest height.
+        key: for messages.
+        told: its end is a place, and no way from where the team is expected.
+        turned: the team may have any heading.
+
+    Raises:
+        UserError: with axis and wall.
+    """
+    guess = "" if told else " (the team is expected above the middle of its pads)"
     low, high = np.array(spec.fence.min_m), np.array(spec.fence.max_m)
     low[2] = max(low[2], floor_m)
-    level = float(np.linalg.norm(points_m[:, :2], axis=1).max())
-    reach_low = np.array([level, level, -float(points_m[:, 2].min())])
-    reach_high = np.array([level, level, float(points_m[:, 2].max())])
+    reach_low, reach_high = -points_m.min(axis=0), points_m.max(axis=0)
+    if turned:
+        reach_low[:2] = reach_high[:2] = np.linalg.norm(points_m[:, :2], axis=1).max()
     for axis, letter in enumerate("xyz"):
         for value, wall, sign in (
             (centre_m[axis] - reach_low[axis], low[axis], -1.0),
@@ -403,6 +479,6 @@ def _check_fence(spec: MissionSpec, points_m: FloatArray, centre_m: FloatArray, 
             if sign * (value - wall) > 1e-6:
                 name = "min_altitude_m or fence.min_m" if axis == 2 and sign < 0.0 else "fence"
                 raise UserError(
-                    f"{key}: takes the formation to {letter} = {value:.3g} m (the team is expected above the middle of"
-                    f" its pads), {name} ends at {wall:g} m; move less, or enlarge the fence"
+                    f"{key}: takes the team to {letter} = {value:.3g} m{guess},"
+                    f" {name} ends at {wall:g} m; stay further inside, or enlarge the fence"
                 )

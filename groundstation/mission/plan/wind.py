@@ -91,6 +91,8 @@ def _mean_that_fits(spec: MissionSpec, profile: VehicleProfile, room: WindRoom, 
 def _gust_that_fits(spec: MissionSpec, profile: VehicleProfile, room: WindRoom, mean_m_s: float) -> float:
     """Largest gusts, rounded down to 0.01 m/s, for which there is room."""
     left_m = math.sqrt(max((ROOM_SHARE * room.room_m) ** 2 - room.margin_m**2, 0.0))
+    if math.isinf(left_m):  # nobody else flies
+        return math.inf
     return max(math.floor(100.0 * left_m / _metres_per_gust(spec, profile, mean_m_s) - 1e-9) / 100.0, 0.0)
 
 
