@@ -23,7 +23,7 @@ EXPECTED = """
 CONNECT     ARM   DONE    DONE    -      -       -    -    -    -      -       DONE     DONE   DONE     -      -    -      -    DONE  -      DONE   DONE   SILENT SILENT
 TAKEOVER    -     -       DONE    RETURN -       -    -    -    -      -       .        .      SILENT   -      -    -      -    -     -      -      -      SILENT SILENT
 ARM         -     -       -       -      TAKEOFF -    -    -    -      -       LAND     LAND   LAND     -      -    -      -    LAND  -      LAND   LAND   SILENT SILENT
-TAKEOFF     -     -       -       -      -       FORM -    -    -      -       RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND   SILENT SILENT
+TAKEOFF     -     -       -       -      -       FORM HOLD MOVE -      -       RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND   SILENT SILENT
 FORM        -     -       -       -      -       FORM HOLD MOVE RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND   SILENT SILENT
 HOLD        -     -       -       -      -       FORM HOLD MOVE RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND   SILENT SILENT
 MOVE        -     -       -       -      -       FORM HOLD MOVE RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND   SILENT SILENT
