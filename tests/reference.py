@@ -19,7 +19,7 @@ from typing import TypedDict
 from groundstation.mission.runner import Phase
 from groundstation.records.manifest import manifest_path
 from sitl.world import World
-from tests.app.flights import Flight, after, four, pair
+from tests.app.flights import FULL_RATE, Flight, after, four, pair
 
 FOLDER = Path(__file__).parent / "reference_logs"
 FIGURES = FOLDER / "figures.json"
@@ -59,7 +59,7 @@ def _completed(log: Path) -> Flight:
 def _goes_on(log: Path) -> Flight:
     """Four, one of which is killed; the others go on without it."""
     orders = says((after(Phase.HOLD, 0.2), "kill 4"))
-    return Flight(four("on_lost=continue_open", "steps.1.hold.seconds=0.5"), log=log, interrupt_when=orders)
+    return Flight(four(FULL_RATE, "on_lost=continue_open", "steps.1.hold.seconds=0.5"), log=log, interrupt_when=orders)
 
 
 def _lands_here(log: Path) -> Flight:

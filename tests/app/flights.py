@@ -21,6 +21,10 @@ from sitl.world import Outgoing, World, WorldConfig
 
 SECOND_NS = 1_000_000_000
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
+HALF_RATE = "rate_hz=25"
+"""A tick costs the same at every rate, so this nearly halves what a flight costs."""
+FULL_RATE = "rate_hz=50"
+"""The rate of the missions that come along, for flights and figures that are about them as they are."""
 Tamper = Callable[[Outgoing, "Flight"], list[Outgoing]]
 """What the network makes of one datagram on its way to the ground."""
 
@@ -126,8 +130,8 @@ class Flight:
 
 
 def cube8(*changes: str) -> MissionPlan:
-    """The packaged cube8 mission, changed."""
-    return load_mission(CUBE8, changes)
+    """The packaged cube8 mission, changed, at half its rate (``HALF_RATE``)."""
+    return load_mission(CUBE8, (HALF_RATE, *changes))
 
 
 def four(*changes: str) -> MissionPlan:
@@ -149,8 +153,9 @@ def _vehicles(count: int) -> str:
 
 
 def mission(name: str, *changes: str) -> MissionPlan:
-    """One of the packaged missions, changed."""
-    return load_mission(packaged_configs() / "missions" / f"{name}.yaml", changes)
+    """One of the packaged missions, changed; those of eight at half their rate (``HALF_RATE``)."""
+    rate = () if name == "first_flight2" else (HALF_RATE,)
+    return load_mission(packaged_configs() / "missions" / f"{name}.yaml", (*rate, *changes))
 
 
 def pair(*changes: str, autopilots: tuple[str, str] = ("px4", "arducopter")) -> MissionPlan:

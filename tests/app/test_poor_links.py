@@ -26,7 +26,7 @@ from sitl.autopilot import Autopilot
 from sitl.estimator import GPS
 from sitl.faults import Fault
 from sitl.world import Outgoing
-from tests.app.flights import SECOND_NS, Flight, mission, pair
+from tests.app.flights import FULL_RATE, SECOND_NS, Flight, mission, pair
 
 FAULTS = packaged_configs() / "faults"
 PLACE = message_id("GLOBAL_POSITION_INT")
@@ -71,7 +71,7 @@ def test_eight_vehicles_lose_a_fifth_of_all_datagrams_and_fly(tmp_path: Path) ->
 
 def test_eight_vehicles_behind_a_slow_link_are_refused_with_the_delay_to_reckon_with(tmp_path: Path) -> None:
     log = tmp_path / "flight.tlog"
-    flight = _faulty(mission("mixed8", "limits.preflight_s=20"), "slow_link", log=log)
+    flight = _faulty(mission("mixed8", FULL_RATE, "limits.preflight_s=20"), "slow_link", log=log)
     _assert_nothing_armed(flight, log)
     for vehicle in range(1, 9):
         assert f"vehicle {vehicle}: its answers take 0.6" in flight.runner.reason

@@ -18,7 +18,7 @@ from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.positioning import POSITION_ERROR_M, margin_deviations, margin_m
 from groundstation.mission.plan.profiles import PROFILES
 from groundstation.mission.plan.reading import plan_from_record
-from tests.app.flights import CUBE8, cube8, mission, pair
+from tests.app.flights import CUBE8, FULL_RATE, cube8, mission, pair
 
 GPS_MARGIN_M = 3.0 * math.sqrt(2.0) * 0.24
 
@@ -177,13 +177,13 @@ def test_a_link_is_lean_only_where_too_few_positions_would_fit() -> None:
 
 
 def test_a_tolerance_that_wandering_vehicles_cannot_keep_is_refused_and_the_one_that_is_named_is_taken() -> None:
-    slow = "link_delay_s=0.39"
+    slow = (FULL_RATE, "link_delay_s=0.39")
     with pytest.raises(UserError, match=r"steps\[0\].form.tolerance_m: 0.4 m, minimum is 0.51 m"):
-        mission("px4_cube8", slow)
+        mission("px4_cube8", *slow)
     with pytest.raises(UserError, match=r"tolerance_m: 0.5 m, minimum is 0.51 m"):
-        mission("px4_cube8", slow, "steps.0.form.tolerance_m=0.5")
-    assert mission("px4_cube8", slow, "steps.0.form.tolerance_m=0.51").slowness > 2.0
-    assert mission("px4_cube8").slowness == 1.0
+        mission("px4_cube8", *slow, "steps.0.form.tolerance_m=0.5")
+    assert mission("px4_cube8", *slow, "steps.0.form.tolerance_m=0.51").slowness > 2.0
+    assert mission("px4_cube8", FULL_RATE).slowness == 1.0
     assert cube8("link_delay_s=0.5").size == 8  # motion capture does not wander
 
 
@@ -210,7 +210,7 @@ def test_what_the_argument_assumes_is_told_for_every_mission_that_comes_along() 
     rows = _rows("| mission | `delay_product`")
     assert [row[0] for row in rows] == sorted(path.stem for path in CUBE8.parent.glob("*.yaml"))
     for name, product, speeds, late in rows:
-        plan = mission(name)
+        plan = mission(name) if name == "first_flight2" else mission(name, FULL_RATE)
         v, a, profile = plan.spec.speed_limit_m_s, plan.acceleration_limit_m_s2, plan.profile
         params = DamperParams(
             1.0, 0.0, profile.lag_s, profile.delay_s, 1.0 / plan.spec.rate_hz, speed_limit_m_s=v, accel_limit_m_s2=a

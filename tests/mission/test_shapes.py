@@ -13,7 +13,7 @@ from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.reading import plan_from_record
-from tests.app.flights import cube8
+from tests.app.flights import FULL_RATE, cube8
 
 
 def test_half_height_comes_from_the_mission_or_else_from_the_slowest_profile() -> None:
@@ -67,7 +67,7 @@ def test_what_does_not_fit_is_refused_with_sizes_and_remedy(changes: list[str], 
 @pytest.mark.parametrize("shape", ["cylinder", "ellipsoid"])
 def test_who_comes_down_on_another_is_held_by_the_height_of_the_region_whatever_the_attitude(shape: str) -> None:
     """One right above another, 0.8 m: a sphere of 0.45 m would let it come down, a region of 0.75 m does not."""
-    plan = cube8(f"avoidance.shape={shape}")
+    plan = cube8(FULL_RATE, f"avoidance.shape={shape}")
     pos = np.array([[0.0, 0.0, -1.0], [0.01, 0.0, -1.82], *([100.0 * k, 0.0, -1.0] for k in range(1, 7))])
     rng = np.random.default_rng(5)
     quat = rng.normal(0.0, 0.2, (8, 4)) + np.array([1.0, 0.0, 0.0, 0.0])
@@ -75,7 +75,7 @@ def test_who_comes_down_on_another_is_held_by_the_height_of_the_region_whatever_
     targets = pos.copy()
     targets[1, 2] = -1.4
     told: dict[str, float] = {}
-    for mission in (plan, cube8()):
+    for mission in (plan, cube8(FULL_RATE)):
         guide = Helm(Guide(mission), mission.size)
         for _ in range(60):
             setpoints = guide.to_targets(poses, targets)
@@ -88,7 +88,7 @@ def test_who_comes_down_on_another_is_held_by_the_height_of_the_region_whatever_
 
 
 def test_an_obstacle_is_avoided_in_the_shape_of_the_mission() -> None:
-    plan = cube8("avoidance.shape=cylinder")
+    plan = cube8(FULL_RATE, "avoidance.shape=cylinder")
     pos = np.array([[0.0, 0.0, -1.0], [0.05, 0.0, -1.9], *([100.0 * k, 0.0, -1.0] for k in range(1, 7))])
     poses = Poses(pos, np.zeros((8, 3)), np.tile([1.0, 0, 0, 0], (8, 1)), np.zeros(8, dtype=np.bool_))
     obstacle = dataclasses.replace(poses, extra_radius_m=np.array([0.0, 0.3, *[0.0] * 6]))
