@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from groundstation.api import (
-        DesignResult, Flown, Formation, Gains, Log, Mission, Seen, Tick, UserError, VerifyResult, design, fly,
+        Comparison, DesignResult, Flown, Formation, Gains, Log, Mission, Seen, Tick, UserError, VerifyResult,
+        compare, design, fly,
         load_formation, load_mission, read_log, report, save_gains, simulate, verify,
     )  # fmt: skip
 
 __all__ = [
-    "DesignResult", "Flown", "Formation", "Gains", "Log", "Mission", "Seen", "Tick", "UserError", "VerifyResult",
-    "design", "fly", "load_formation", "load_mission", "read_log", "report", "save_gains", "simulate", "verify",
+    "Comparison", "DesignResult", "Flown", "Formation", "Gains", "Log", "Mission", "Seen", "Tick", "UserError",
+    "VerifyResult", "compare", "design", "fly", "load_formation", "load_mission", "read_log", "report",
+    "save_gains", "simulate", "verify",
 ]  # fmt: skip
 
 

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from groundstation.app.comparing import Comparison
 from groundstation.app.log_tables import Log
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
@@ -52,8 +53,9 @@ if TYPE_CHECKING:
     from sitl.world import World
 
 __all__ = [
-    "DesignResult", "Flown", "Formation", "Gains", "Log", "Mission", "Seen", "Tick", "UserError", "VerifyResult",
-    "design", "fly", "load_formation", "load_mission", "read_log", "report", "save_gains", "simulate", "verify",
+    "Comparison", "DesignResult", "Flown", "Formation", "Gains", "Log", "Mission", "Seen", "Tick", "UserError",
+    "VerifyResult", "compare", "design", "fly", "load_formation", "load_mission", "read_log", "report",
+    "save_gains", "simulate", "verify",
 ]  # fmt: skip
 
 Changes = Mapping[str, Any] | Sequence[str]
@@ -262,11 +264,25 @@ def read_log(log: str | Path) -> Log:
     return Log(Path(log), load_flight(Path(log)))
 
 
-def report(log: Log | str | Path, folder: str | Path, *, force: bool = False) -> list[Path]:
+def compare(logs: Sequence[str | Path]) -> Comparison:
+    """Compares flights: time to form, distances, effort, and how far they deviate from each other.
+
+    Args:
+        logs: their files, two or more.
+
+    Raises:
+        UserError: one cannot be read, or holds nothing.
+    """
+    from groundstation.app.comparing import compare_logs
+
+    return compare_logs([Path(log) for log in logs])
+
+
+def report(log: Log | str | Path | Sequence[str | Path], folder: str | Path, *, force: bool = False) -> list[Path]:
     """Draws the pictures of a log and writes a page with them.
 
     Args:
-        log: as read, or its file.
+        log: as read, or its file; of several files a comparison, with a report of each below it.
         folder: made when missing; an earlier report in it is replaced.
         force: replace files of these names whatever they are.
 
@@ -276,8 +292,11 @@ def report(log: Log | str | Path, folder: str | Path, *, force: bool = False) ->
     Raises:
         UserError: nothing can be drawn of it, or the folder cannot be written.
     """
+    from groundstation.app.comparing import write_comparison
     from groundstation.app.report import claim_report, write_report
 
+    if not isinstance(log, Log | str | Path):
+        return write_comparison(compare(log), Path(folder), reports=True, force=force)
     read = log if isinstance(log, Log) else read_log(log)
     if not read.flight.useful:
         raise UserError(f"{read.path}: holds no position and no setpoint; there is nothing to draw")

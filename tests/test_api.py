@@ -18,8 +18,9 @@ from groundstation import api
 from groundstation.core.errors import UserError
 
 _STABLE = {
-    "DesignResult", "Flown", "Formation", "Gains", "Log", "Mission", "Seen", "Tick", "UserError", "VerifyResult",
-    "design", "fly", "load_formation", "load_mission", "read_log", "report", "save_gains", "simulate", "verify",
+    "Comparison", "DesignResult", "Flown", "Formation", "Gains", "Log", "Mission", "Seen", "Tick", "UserError",
+    "VerifyResult", "compare", "design", "fly", "load_formation", "load_mission", "read_log", "report",
+    "save_gains", "simulate", "verify",
 }  # fmt: skip
 """Names that other people's programs use; one that is missing here breaks them."""
 

@@ -14,18 +14,30 @@ from groundstation.core.errors import CheckFailed
 
 
 def report(
-    log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).")],
+    logs: Annotated[list[Path], typer.Argument(help="Log of a flight or of an import (.tlog); several are compared.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures and the page.")],
     *,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Draws trajectories, distances, formation error and setpoints of a flight."""
+    """Draws trajectories, distances, formation error and setpoints of a flight; several are laid over each other."""
+    from groundstation.app.comparing import compare_logs, tables, write_comparison
     from groundstation.app.replaying import nothing_in
     from groundstation.app.report import claim_report, write_report
     from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
+    if len(logs) > 1:
+        comparison = compare_logs(logs)
+        for table in tables(comparison):
+            out.console.print(table)
+        with out.console.status("drawing"):
+            files = write_comparison(comparison, output, reports=True, force=force)
+        for file in files:
+            out.console.print(Text(f"written: {file}"))
+        out.result({**comparison.values(), "files": [str(file) for file in files]})
+        return
+    log = logs[0]
     flight = load_flight(log)
     for line in (flight.message, *flight.notes, *flight.contents):
         if line is not None:
