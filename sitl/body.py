@@ -53,6 +53,7 @@ class Body:
     def __init__(self, state: State, index: int, radio: Radio, streamed: Container[str]) -> None:
         self._state, self.index, self._radio, self._streamed = state, index, radio, streamed
         dynamics = state.dynamics
+        self._known, self._broken, self._estimator = state.known, state.broken, state.estimator
         self._motion, self._commands = dynamics.motion, dynamics.commands
         self._health, self._ground = dynamics.health, dynamics.ground
         self.profile: Profile = state.profiles[index]
@@ -70,7 +71,7 @@ class Body:
     @property
     def own_time_ns(self) -> int:
         """Time since power-up as the vehicle counts it."""
-        return int(self._state.vehicle_time_ns()[self.index])
+        return int(self._state.own_time_ns()[self.index])
 
     # -- estimates ----------------------------------------------------------------------------------------------
 
@@ -78,7 +79,7 @@ class Body:
     def pos_enu_m(self) -> Place:
         """Believed position in the world's frame."""
         i = self.index
-        x, y, z = (self._motion.pos_enu_m[:, i] + self._state.estimator.pos_error[:, i]).tolist()
+        x, y, z = (self._motion.pos_enu_m[:, i] + self._estimator.pos_error[:, i]).tolist()
         return x, y, z
 
     @property
@@ -89,54 +90,54 @@ class Body:
     @property
     def has_gps(self) -> bool:
         """Whether there is a GPS receiver."""
-        return bool(self._state.has_gps[self.index])
+        return bool(self._known.has_gps[self.index])
 
     @property
     def has_position(self) -> bool:
         """Whether the estimator has a position."""
-        return bool(self._state.has_position[self.index])
+        return bool(self._known.has_position[self.index])
 
     @has_position.setter
     def has_position(self, found: bool) -> None:
-        self._state.has_position[self.index] = found
+        self._known.has_position[self.index] = found
 
     @property
     def position_good(self) -> bool:
         """Whether it has one that can be flown by."""
-        return self.has_position and not self._state.invalid[self.index]
+        return self.has_position and not self._broken.invalid[self.index]
 
     @property
     def has_origin(self) -> bool:
         """Whether the estimator has an origin."""
-        return bool(self._state.has_origin[self.index])
+        return bool(self._known.has_origin[self.index])
 
     @property
     def origin_enu_m(self) -> Place:
         """Where LOCAL_POSITION_NED begins."""
-        x, y, z = self._state.origin_enu_m[:, self.index].tolist()
+        x, y, z = self._known.origin_enu_m[:, self.index].tolist()
         return x, y, z
 
     @property
     def home_enu_m(self) -> Place:
         """Home."""
-        x, y, z = self._state.home_enu_m[:, self.index].tolist()
+        x, y, z = self._known.home_enu_m[:, self.index].tolist()
         return x, y, z
 
     def set_origin(self, place_enu_m: Sequence[float] | Array | None = None) -> None:
         """Gives the estimator its origin; None takes the place where it stands, as well as GPS knows it."""
-        state, i = self._state, self.index
-        state.has_origin[i] = True
+        i = self.index
+        self._known.has_origin[i] = True
         if place_enu_m is None:
-            place_enu_m = self._motion.pos_enu_m[:, i] + state.estimator.origin_error_enu_m[:, i]
-        state.origin_enu_m[:, i] = place_enu_m
+            place_enu_m = self._motion.pos_enu_m[:, i] + self._estimator.origin_error_enu_m[:, i]
+        self._known.origin_enu_m[:, i] = place_enu_m
 
     def set_home(self, place_enu_m: Sequence[float] | Array) -> None:
         """Sets home."""
-        self._state.home_enu_m[:, self.index] = place_enu_m
+        self._known.home_enu_m[:, self.index] = place_enu_m
 
     def correct(self, by_enu_m: Sequence[float]) -> None:
         """Moves the believed position."""
-        estimator = self._state.estimator
+        estimator = self._estimator
         for axis in range(3):
             estimator.offset_enu_m[axis, self.index] += by_enu_m[axis]
         estimator.refresh()
@@ -179,7 +180,7 @@ class Body:
 
     def power_motors(self, powered: bool) -> None:
         """Gives the motors what they can take, or nothing."""
-        self._health.thrust_share[self.index] = self._state.motor_share[self.index] if powered else 0.0
+        self._health.thrust_share[self.index] = self._broken.motor_share[self.index] if powered else 0.0
 
     def command(
         self,

@@ -14,6 +14,7 @@ from sitl.frames import Array
 from sitl.loops import VelocityLoop
 from sitl.motion import Motion
 from sitl.profiles import Profile, column
+from sitl.wander import Wander
 
 _BLOCK = 256
 
@@ -42,22 +43,14 @@ class Wind:
     ) -> None:
         self.mean = np.array(mean_enu_m_s, dtype=np.float64)[:, None]
         sigma = gust_sigma_m_s * np.array([[1.0], [1.0], [0.5]])
-        self._keep = math.exp(-step_s / gust_tau_s)
-        self._drive = sigma * math.sqrt(1.0 - self._keep**2)
-        self._rng, self._n = rng, n
-        self._gust = sigma * rng.standard_normal((3, n))
-        self._drawn = np.empty((0, 3, n))
-        self._next = 0
+        keep = math.exp(-step_s / gust_tau_s)
+        drive = sigma * math.sqrt(1.0 - keep**2)
+        self._gust = Wander(sigma * rng.standard_normal((3, n)), keep, drive, rng=rng, block=_BLOCK)
 
     def step(self) -> Array:
         """Air velocity at every vehicle, one physics step later, shape (3, n), ENU m/s."""
-        if self._next == len(self._drawn):
-            self._drawn = self._rng.standard_normal((_BLOCK, 3, self._n))
-            self._next = 0
-        self._gust *= self._keep
-        self._gust += self._drawn[self._next] * self._drive
-        self._next += 1
-        return self._gust + self.mean
+        self._gust.step()
+        return self._gust.now + self.mean
 
 
 class Downwash:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl.frames import Array
+from sitl.wander import Wander
 
 
 @dataclass(frozen=True)
@@ -74,24 +75,22 @@ class Estimator:
 
     def __init__(self, noises: Sequence[Noise], step_s: float, rng: np.random.Generator) -> None:
         n = len(noises)
-        self._rng, self._n, self._dt = rng, n, step_s * _EVERY
+        self._rng, self._dt = rng, step_s * _EVERY
 
         def rows(name: str) -> Array:
             return np.repeat(np.array([[getattr(noise, name) for noise in noises]]), 3, axis=0)
 
         sigma = np.concatenate([rows("pos_sigma_m"), rows("vel_sigma_m_s"), rows("att_sigma_rad")])
         tau = np.concatenate([rows("pos_tau_s"), rows("vel_tau_s"), rows("att_tau_s")])
-        self._keep = np.exp(-self._dt / tau)
-        self._drive = sigma * np.sqrt(1.0 - self._keep**2)
-        self._state = sigma * rng.standard_normal((9, n))
-        self.white_m = rows("pos_white_m")
-        self._drawn = np.empty((0, 9, n))
-        self._next = 0
+        keep = np.exp(-self._dt / tau)
+        drive = sigma * np.sqrt(1.0 - keep**2)
+        self._errors = Wander(sigma * rng.standard_normal((9, n)), keep, drive, rng=rng, block=_BLOCK)
         self._count = 0
+        self.white_m = rows("pos_white_m")
         self.offset_enu_m = np.zeros((3, n))
         self.drift_enu_m_s = np.zeros((3, n))
         self.faulty = False
-        self.pos_error, self.vel_error, self.att_error = self._state[:3], self._state[3:6], self._state[6:]
+        self.pos_error, self.vel_error, self.att_error = np.split(self._errors.now, 3)
         origin = np.array([noise.origin_sigma_m for noise in noises])
         self.origin_error_enu_m = np.clip(rng.standard_normal((3, n)), -2.0, 2.0) * origin
         self.origin_error_enu_m[2] *= 1.2
@@ -101,22 +100,16 @@ class Estimator:
         self._count += 1
         if self._count % _EVERY:
             return
-        if self._next == len(self._drawn):
-            self._drawn = self._rng.standard_normal((_BLOCK, 9, self._n))
-            self._next = 0
-        state = self._state
-        state *= self._keep
-        state += self._drawn[self._next] * self._drive
-        self._next += 1
+        self._errors.step()
         if self.faulty:
             self.offset_enu_m += self.drift_enu_m_s * self._dt
-            self.pos_error = state[:3] + self.offset_enu_m
+            self.pos_error = self._errors.now[:3] + self.offset_enu_m
 
     def refresh(self) -> None:
         """Lets a changed ``offset_enu_m`` act at once."""
         self.faulty = bool(self.offset_enu_m.any() or self.drift_enu_m_s.any())
-        self.pos_error = self._state[:3] + self.offset_enu_m if self.faulty else self._state[:3]
+        self.pos_error = self._errors.now[:3] + self.offset_enu_m if self.faulty else self._errors.now[:3]
 
     def white(self) -> Array:
         """White part of one report of every position, shape (3, n), m."""
-        return np.asarray(self._rng.standard_normal((3, self._n)) * self.white_m)
+        return np.asarray(self._rng.standard_normal(self.white_m.shape) * self.white_m)

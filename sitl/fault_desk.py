@@ -125,18 +125,18 @@ class FaultDesk:
         faults = [fault for fault, _ in self.active if fault.kind == kind and i in self._indices(fault)]
         on = bool(faults)
         if kind == "position_frozen":
-            if on and not state.frozen[i]:
-                state.frozen_pos_enu_m[:, i] = pilot.body.pos_enu_m
-            state.frozen[i] = on
+            if on and not state.broken.frozen[i]:
+                state.broken.frozen_pos_enu_m[:, i] = pilot.body.pos_enu_m
+            state.broken.frozen[i] = on
         elif kind == "position_nan":
-            state.invalid[i] = on
+            state.broken.invalid[i] = on
         elif kind == "heartbeat_missing":
-            state.muted["HEARTBEAT"][i] = on
+            state.broken.muted["HEARTBEAT"][i] = on
         elif kind == "battery_drain":
             pilot.battery.extra_per_s = sum(fault.number("percent_per_s") for fault in faults) / 100.0
         elif kind == "motor_failure":
             state.dynamics.health.tumble(i, on)
-            state.motor_share[i] = min((fault.number("thrust_share") for fault in faults), default=1.0)
+            state.broken.motor_share[i] = min((fault.number("thrust_share") for fault in faults), default=1.0)
         elif kind == "arming_refused":
             pilot.deny_arming = on
         elif kind == "commands_ignored":
@@ -147,7 +147,7 @@ class FaultDesk:
         if fault.kind == "reboot":
             self._reboot(i)
         elif fault.kind == "clock_jump":
-            self._state.clock_offset_ns[i] += round(fault.number("seconds") * SECOND)
+            self._state.clocks.offset_ns[i] += round(fault.number("seconds") * SECOND)
         elif fault.kind == "battery_level":
             self._autopilots[i].battery.left = fault.number("percent") / 100.0
 

@@ -78,12 +78,12 @@ def pilots_of(state: State, vehicles: IntArray) -> list[Pilot]:
 
 def times_ms(state: State, vehicles: IntArray) -> IntArray:
     """Time since power-up as the vehicles count it, ms."""
-    return np.asarray(state.vehicle_time_ns()[vehicles] // 1_000_000)
+    return np.asarray(state.own_time_ns()[vehicles] // 1_000_000)
 
 
 def times_us(state: State, vehicles: IntArray) -> IntArray:
     """The same in microseconds."""
-    return np.asarray(state.vehicle_time_ns()[vehicles] // 1_000)
+    return np.asarray(state.own_time_ns()[vehicles] // 1_000)
 
 
 @message(MESSAGES)
@@ -116,7 +116,7 @@ def _sys_status(state: State, _view: View, vehicles: IntArray) -> StructuredArra
 @message(MESSAGES)
 def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SYSTEM_TIME", vehicles)
-    out["time_unix_usec"] = state.unix_us() + state.clock_offset_ns[vehicles] // 1000
+    out["time_unix_usec"] = state.unix_us() + state.clocks.offset_ns[vehicles] // 1000
     out["time_boot_ms"] = times_ms(state, vehicles)
     return out
 
@@ -124,7 +124,7 @@ def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArr
 @message(MESSAGES)
 def _timesync(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("TIMESYNC", vehicles)
-    out["ts1"] = state.vehicle_time_ns()[vehicles]
+    out["ts1"] = state.own_time_ns()[vehicles]
     return out
 
 
@@ -179,7 +179,7 @@ def _odometry(state: State, view: View, vehicles: IntArray) -> StructuredArray:
 
 def _number(state: State, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Replaces what is not a number by 0, for fields that are integers on the wire."""
-    return np.nan_to_num(values) if state.any_invalid else values
+    return np.nan_to_num(values) if state.broken.invalid.any() else values
 
 
 def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float64]]:
@@ -196,7 +196,7 @@ def _global_position_int(state: State, view: View, vehicles: IntArray) -> Struct
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = np.rint(alt * 1000.0)
-    height = _number(state, view.pos_enu_m[2, vehicles]) - state.home_enu_m[2, vehicles]
+    height = _number(state, view.pos_enu_m[2, vehicles]) - state.known.home_enu_m[2, vehicles]
     out["relative_alt"] = np.rint(np.clip(height, -2e6, 2e6) * 1000.0)  # home may be set anywhere on the globe
     vel = np.clip(_number(state, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767, 32767)
     out["vx"], out["vy"], out["vz"] = np.rint(vel)
@@ -243,7 +243,7 @@ def _altitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     alt = view.geodetic[2][vehicles]
     out["altitude_monotonic"] = out["altitude_amsl"] = alt
     out["altitude_local"] = -view.local_ned_m[2, vehicles]
-    out["altitude_relative"] = view.pos_enu_m[2, vehicles] - state.home_enu_m[2, vehicles]
+    out["altitude_relative"] = view.pos_enu_m[2, vehicles] - state.known.home_enu_m[2, vehicles]
     out["altitude_terrain"] = np.nan
     out["bottom_clearance"] = np.nan
     return out
@@ -267,7 +267,7 @@ def _position_target_local_ned(state: State, _view: View, vehicles: IntArray) ->
     dynamics = state.dynamics
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["coordinate_frame"] = 1
-    target = dynamics.commands.pos_sp_enu_m[:, vehicles] - state.origin_enu_m[:, vehicles]
+    target = dynamics.commands.pos_sp_enu_m[:, vehicles] - state.known.origin_enu_m[:, vehicles]
     held = dynamics.commands.pos_mask[:, vehicles] > 0
     target = np.where(held, target, np.nan)
     out["x"], out["y"], out["z"] = target[1], target[0], -target[2]
@@ -318,7 +318,7 @@ def _extended_sys_state(state: State, _view: View, vehicles: IntArray) -> Struct
 def _estimator_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ESTIMATOR_STATUS", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    good = state.has_position[vehicles] & ~state.invalid[vehicles]
+    good = state.known.has_position[vehicles] & ~state.broken.invalid[vehicles]
     # attitude, vertical velocity, heights above sea and ground; with a position: horizontal velocity, positions,
     # and that they are measured. Standing still sets "constant position", whatever is known.
     resting = np.array([pilot.landed for pilot in pilots_of(state, vehicles)], dtype=bool)
@@ -351,11 +351,11 @@ def _battery_status(state: State, _view: View, vehicles: IntArray) -> Structured
 @message(MESSAGES, position=True)
 def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HOME_POSITION", vehicles)
-    home = state.home_enu_m[:, vehicles]
+    home = state.known.home_enu_m[:, vehicles]
     lat, lon, alt = state.geodesy.geodetic_from_enu(home)
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
-    local = home - state.origin_enu_m[:, vehicles]
+    local = home - state.known.origin_enu_m[:, vehicles]
     out["x"], out["y"], out["z"] = local[1], local[0], -local[2]
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
     out["time_usec"] = times_us(state, vehicles)
@@ -365,7 +365,7 @@ def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredAr
 @message(MESSAGES, origin=True)
 def _gps_global_origin(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_GLOBAL_ORIGIN", vehicles)
-    lat, lon, alt = state.geodesy.geodetic_from_enu(state.origin_enu_m[:, vehicles])
+    lat, lon, alt = state.geodesy.geodetic_from_enu(state.known.origin_enu_m[:, vehicles])
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
     out["time_usec"] = times_us(state, vehicles)

@@ -23,6 +23,70 @@ from sitl.signing import VehicleSigning
 from sitl.streams import Streams
 
 
+class Clocks:
+    """What time the vehicles think it is.
+
+    Attributes:
+        boot_ns: when each was powered up, shape (n,).
+        offset_ns: by which each clock has jumped (faults), shape (n,).
+    """
+
+    def __init__(self, config: WorldConfig, profiles: Sequence[Profile]) -> None:
+        n = len(profiles)
+        self.boot_ns = np.full(n, config.start_ns, dtype=np.int64)
+        self.offset_ns = np.zeros(n, dtype=np.int64)
+        self._slow = np.array([1.0 - profile.clock_rate for profile in profiles])
+        self._drifts = bool(self._slow.any())
+        self._unix_at_0_us = config.unix_start_us, config.start_ns
+
+    def own_ns(self, now_ns: int) -> NDArray[np.int64]:
+        """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped."""
+        counted = now_ns - self.boot_ns
+        if self._drifts:
+            counted = counted - np.rint(counted * self._slow).astype(np.int64)
+        return np.asarray(np.maximum(counted + self.offset_ns, 0))
+
+    def unix_us(self, now_ns: int) -> int:
+        """The date, microseconds."""
+        begun_us, start_ns = self._unix_at_0_us
+        return begun_us + (now_ns - start_ns) // 1000
+
+
+class Known:
+    """What the estimators know.
+
+    Attributes:
+        origin_enu_m, home_enu_m: of each, and home, shape (3, n).
+        has_position, has_origin: whether they have them, shape (n,).
+        has_gps: whether there is a GPS receiver, shape (n,).
+    """
+
+    def __init__(self, config: WorldConfig, pads_enu_m: Array) -> None:
+        n = len(config.vehicles)
+        self.origin_enu_m, self.home_enu_m = pads_enu_m.copy(), pads_enu_m.copy()
+        self.has_position = np.zeros(n, dtype=bool)
+        self.has_origin = np.zeros(n, dtype=bool)
+        self.has_gps = np.array([vehicle.gps for vehicle in config.vehicles])
+
+
+class Broken:
+    """What faults have done.
+
+    Attributes:
+        frozen, invalid: position reports stuck, or not numbers, shape (n,).
+        frozen_pos_enu_m: where they are stuck, shape (3, n).
+        motor_share: thrust that the motors can give, 1 when sound, shape (n,).
+        muted: message types that some do not send, shape (n,) each.
+    """
+
+    def __init__(self, pads_enu_m: Array) -> None:
+        n = pads_enu_m.shape[1]
+        self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self.frozen_pos_enu_m = pads_enu_m.copy()
+        self.motor_share = np.ones(n)
+        self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
+
+
 class State:
     """What is, and what is believed, of n vehicles.
 
@@ -36,15 +100,8 @@ class State:
         now_ns: the clock.
         dynamics, estimator, streams, geodesy: its parts.
         pilots: one per vehicle, once they are powered up.
-        origin_enu_m, home_enu_m: of each estimator, and home, shape (3, n).
-        has_position, has_origin: the estimator has them, shape (n,).
-        has_gps: whether there is a GPS receiver, shape (n,).
+        clocks, known, broken: what time they think it is, what their estimators know, what is wrong with them.
         talking: has sent its first bytes, shape (n,).
-        frozen, invalid: position reports stuck, or not numbers (faults), shape (n,).
-        motor_share: thrust that the motors can give (faults), 1 when sound, shape (n,).
-        muted: message types that some do not send (faults), shape (n,) each.
-        boot_ns: when each was powered up, shape (n,).
-        clock_offset_ns: by which each clock has jumped (faults), shape (n,).
         signing: signatures of each vehicle.
     """
 
@@ -77,38 +134,21 @@ class State:
         self.geodesy = Geodesy(config.home_lat_deg, config.home_lon_deg, config.home_alt_m)
         self.streams = Streams(tuple(streamed), n, config.start_ns)
         self.pilots: Sequence[Pilot] = ()
-        self.origin_enu_m, self.home_enu_m = pads.copy(), pads.copy()
-        self.has_position = np.zeros(n, dtype=bool)
-        self.has_origin = np.zeros(n, dtype=bool)
-        self.has_gps = np.array([vehicle.gps for vehicle in config.vehicles])
+        self.clocks = Clocks(config, self.profiles)
+        self.known = Known(config, pads)
+        self.broken = Broken(pads)
         self.talking = np.zeros(n, dtype=bool)
-        self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-        self.frozen_pos_enu_m = pads.copy()
-        self.motor_share = np.ones(n)
-        self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
-        self.boot_ns = np.full(n, config.start_ns, dtype=np.int64)
-        self.clock_offset_ns = np.zeros(n, dtype=np.int64)
-        self._clock_slow = np.array([1.0 - profile.clock_rate for profile in self.profiles])
-        self._clock_drifts = bool(self._clock_slow.any())
         self.signing = [
             VehicleSigning(vehicle.signing_key, self.unix_us() if vehicle.gps else 0) for vehicle in config.vehicles
         ]
 
-    @property
-    def any_invalid(self) -> bool:
-        """Whether any vehicle's position is not a number now."""
-        return bool(self.invalid.any())
-
-    def vehicle_time_ns(self) -> NDArray[np.int64]:
-        """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped."""
-        counted = self.now_ns - self.boot_ns
-        if self._clock_drifts:
-            counted = counted - np.rint(counted * self._clock_slow).astype(np.int64)
-        return np.asarray(np.maximum(counted + self.clock_offset_ns, 0))
+    def own_time_ns(self) -> NDArray[np.int64]:
+        """Time since power-up as each vehicle counts it, shape (n,)."""
+        return self.clocks.own_ns(self.now_ns)
 
     def unix_us(self) -> int:
         """The date, microseconds."""
-        return self.config.unix_start_us + (self.now_ns - self.config.start_ns) // 1000
+        return self.clocks.unix_us(self.now_ns)
 
     def true_quat(self) -> Array:
         """True attitude, FRD to NED, shape (4, n)."""
@@ -117,9 +157,9 @@ class State:
 
     def power_off(self, index: int) -> None:
         """Forgets what a vehicle loses with its power."""
-        self.talking[index] = self.has_position[index] = self.has_origin[index] = False
-        self.boot_ns[index] = self.now_ns
-        self.clock_offset_ns[index] = 0
+        self.talking[index] = self.known.has_position[index] = self.known.has_origin[index] = False
+        self.clocks.boot_ns[index] = self.now_ns
+        self.clocks.offset_ns[index] = 0
         for name in self.streams.names:
             self.streams.set_interval(index, name, 0, self.now_ns)
 

@@ -29,10 +29,10 @@ class View:
         """Believed position in the world's frame, white part included, shape (3, n)."""
         state = self.state
         believed = state.dynamics.motion.pos_enu_m + state.estimator.pos_error + state.estimator.white()
-        if state.frozen.any():
-            believed = np.where(state.frozen, state.frozen_pos_enu_m, believed)
-        if state.invalid.any():
-            believed = np.where(state.invalid, np.nan, believed)
+        if state.broken.frozen.any():
+            believed = np.where(state.broken.frozen, state.broken.frozen_pos_enu_m, believed)
+        if state.broken.invalid.any():
+            believed = np.where(state.broken.invalid, np.nan, believed)
         return np.asarray(believed)
 
     @cached_property
@@ -40,16 +40,16 @@ class View:
         """Believed velocity, shape (3, n)."""
         state = self.state
         believed = state.dynamics.motion.vel_enu_m_s + state.estimator.vel_error
-        if state.frozen.any():
-            believed = np.where(state.frozen, 0.0, believed)
-        if state.invalid.any():
-            believed = np.where(state.invalid, np.nan, believed)
+        if state.broken.frozen.any():
+            believed = np.where(state.broken.frozen, 0.0, believed)
+        if state.broken.invalid.any():
+            believed = np.where(state.broken.invalid, np.nan, believed)
         return np.asarray(believed)
 
     @cached_property
     def local_ned_m(self) -> Array:
         """Position from each vehicle's own origin, shape (3, n)."""
-        return frames.ned_from_enu(self.pos_enu_m - self.state.origin_enu_m)
+        return frames.ned_from_enu(self.pos_enu_m - self.state.known.origin_enu_m)
 
     @cached_property
     def vel_ned_m_s(self) -> Array:

@@ -76,13 +76,13 @@ class Transmitter:
         message = self._messages[name]
         able = state.talking[vehicles]
         if message.position:
-            able &= state.has_position[vehicles]
+            able &= state.known.has_position[vehicles]
         elif message.origin:
-            able &= state.has_origin[vehicles]
+            able &= state.known.has_origin[vehicles]
         if message.gps:
-            able &= state.has_gps[vehicles]
-        if name in state.muted:
-            able &= ~state.muted[name][vehicles]
+            able &= state.known.has_gps[vehicles]
+        if name in state.broken.muted:
+            able &= ~state.broken.muted[name][vehicles]
         if message_id(name) > V1_LAST_ID:
             able &= np.array([state.pilots[i].encoder.version == 2 for i in vehicles])
         if not able.all():
@@ -106,7 +106,7 @@ class Transmitter:
         for index in sorted(pending):
             signing = state.signing[index]
             if signing.on:
-                if state.has_gps[index]:
+                if state.known.has_gps[index]:
                     signing.date(state.unix_us())
                 pending[index] = [signing.sign(frame) for frame in pending[index]]
             for data in _datagrams(pending[index]):

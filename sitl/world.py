@@ -7,20 +7,17 @@ sockets and to draw unseeded numbers.
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.mavlink.codec import Frame, Splitters
+from groundstation.mavlink.codec import Frame
 from sitl.autopilot import Autopilot
 from sitl.body import Body, Radio
 from sitl.config import SECOND, VehicleConfig, WindConfig, WorldConfig
 from sitl.distances import Distances
 from sitl.dynamics import Dynamics
-from sitl.estimator import Estimator
 from sitl.fault_desk import FaultDesk
 from sitl.faults import Fault
 from sitl.frames import Array
@@ -29,9 +26,9 @@ from sitl.messages_hardware import HARDWARE_MESSAGES
 from sitl.network import Channel
 from sitl.outfit import Outfit
 from sitl.personalities import PERSONALITIES, PROFILES, RATES_HZ
+from sitl.receiver import Receiver
 from sitl.signing import VehicleSigning
 from sitl.state import State
-from sitl.streams import Streams
 from sitl.transmitter import Outgoing, Transmitter
 
 __all__ = ["Outgoing", "Truth", "VehicleConfig", "WindConfig", "World", "WorldConfig"]
@@ -61,17 +58,6 @@ class Truth:
         return self.quat_ned_from_frd
 
 
-class _Arrival(NamedTuple):
-    """Something under way; ``order`` is never twice the same, so that what follows it is never compared."""
-
-    t_ns: int
-    order: int
-    vehicle: int
-    peer: str
-    data: bytes
-    stream: bool
-
-
 class World:
     """n vehicles and their clock.
 
@@ -96,14 +82,12 @@ class World:
             messages |= PERSONALITIES[vehicle.autopilot].messages
         profiles = [PROFILES[vehicle.profile] for vehicle in config.vehicles]
         self.state = State(config, profiles, in_wire_order(messages), rng_estimate, rng_wind)
-        self._uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
+        uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
         downlinks = [Channel(config.downlink, np.random.default_rng(s)) for s in seeds[4 + n :]]
-        self.links = list(zip(self._uplinks, downlinks, strict=True))
+        self.links = list(zip(uplinks, downlinks, strict=True))
         self._transmitter = Transmitter(self.state, downlinks, messages)
         self._radio = Radio(self._transmitter.emit, self._send_now, self.reboot)
-        self._splitters = Splitters()
-        self._incoming: list[_Arrival] = []
-        self._order = 0
+        self._receiver = Receiver(uplinks)
         self._next_tick_ns = config.start_ns
         self.frame_errors = [0] * n
         self.autopilots: list[Autopilot] = [self._power_up(i) for i in range(n)]
@@ -125,9 +109,7 @@ class World:
             ground_station: any name that tells senders apart.
             stream: the sender's frames may come in pieces (TCP).
         """
-        for t_ns, arrived in self._uplinks[vehicle_index].carry(now_ns, data):
-            self._order += 1
-            heapq.heappush(self._incoming, _Arrival(t_ns, self._order, vehicle_index, ground_station, arrived, stream))
+        self._receiver.send(vehicle_index, data, now_ns, ground_station, stream=stream)
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """Moves the world to a time, in whole physics steps.
@@ -162,16 +144,6 @@ class World:
     def dynamics(self) -> Dynamics:
         """How the vehicles move."""
         return self.state.dynamics
-
-    @property
-    def estimator(self) -> Estimator:
-        """The errors of what they believe."""
-        return self.state.estimator
-
-    @property
-    def streams(self) -> Streams:
-        """Which message each sends at which interval."""
-        return self.state.streams
 
     @property
     def signing(self) -> list[VehicleSigning]:
@@ -245,8 +217,7 @@ class World:
         state.dynamics.step()
         if not state.dynamics.motion.all_on_ground:
             self._distances.note(state.dynamics.motion.pos_enu_m, state.dynamics.motion.airborne())
-        while self._incoming and self._incoming[0].t_ns <= state.now_ns:
-            self._hand_over(heapq.heappop(self._incoming))
+        self._receiver.deliver(state.now_ns, self._take)
         if state.now_ns >= self._next_tick_ns:
             dt_s = _TICK_NS / SECOND
             for pilot in self.autopilots:
@@ -260,17 +231,14 @@ class World:
     def _send_now(self, index: int, name: str) -> bool:
         return self._transmitter.make(name, np.array([index])) == 1
 
-    def _hand_over(self, arrival: _Arrival) -> None:
-        pieces = self._splitters.feed((arrival.vehicle, arrival.peer), arrival.data, stream=arrival.stream)
-        for piece in pieces:
-            pilot = self.autopilots[arrival.vehicle]  # a reboot in between makes a new one
-            if isinstance(piece, Frame) and pilot.powered and self.state.talking[arrival.vehicle]:
-                if not self.state.signing[arrival.vehicle].accepts(piece):
-                    continue
-                try:
-                    pilot.receive(piece)
-                except Exception:  # whatever one sender's frame does, the other vehicles fly on
-                    self.frame_errors[arrival.vehicle] += 1
+    def _take(self, vehicle: int, frame: Frame) -> None:
+        pilot = self.autopilots[vehicle]  # a reboot in between makes a new one
+        if not (pilot.powered and self.state.talking[vehicle] and self.state.signing[vehicle].accepts(frame)):
+            return
+        try:
+            pilot.receive(frame)
+        except Exception:  # whatever one sender's frame does, the other vehicles fly on
+            self.frame_errors[vehicle] += 1
 
     # -- making of ----------------------------------------------------------------------------------------------
 

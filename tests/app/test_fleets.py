@@ -85,14 +85,14 @@ def test_origins_fifty_metres_apart_and_off_make_one_frame(
     autopilots: tuple[str, str], changes: tuple[str, ...]
 ) -> None:
     def far(world: World) -> None:
-        world.estimator.origin_error_enu_m += np.array([[50.0, -20.0], [10.0, 60.0], [0.5, -0.5]])
+        world.state.estimator.origin_error_enu_m += np.array([[50.0, -20.0], [10.0, 60.0], [0.5, -0.5]])
 
     _assert_flown(Flight(pair(*changes, autopilots=autopilots), seed=5, prepare=far))
 
 
 def test_a_declared_origin_is_reckoned_with() -> None:
     def moved(world: World) -> None:
-        world.estimator.origin_error_enu_m[:] = np.array([[0.0, 30.0], [0.0, -40.0], [0.0, 1.0]])
+        world.state.estimator.origin_error_enu_m[:] = np.array([[0.0, 30.0], [0.0, -40.0], [0.0, 1.0]])
 
     changes = ("vehicles.0.origin=pad", "vehicles.1.origin=declared", "vehicles.1.origin_m=[32.5, -40.0, 1.0]")
     standing = world_config(pair("vehicles.0.origin=pad", "vehicles.1.origin=pad"), 6)
@@ -101,7 +101,7 @@ def test_a_declared_origin_is_reckoned_with() -> None:
 
 def test_estimates_that_begin_half_a_metre_off_are_hung_on_the_pads() -> None:
     def off(world: World) -> None:
-        world.estimator.origin_error_enu_m[:] = np.array([[0.5, -0.5], [-0.5, 0.5], [0.6, -0.6]])
+        world.state.estimator.origin_error_enu_m[:] = np.array([[0.5, -0.5], [-0.5, 0.5], [0.6, -0.6]])
 
     _assert_flown(Flight(pair("vehicles.0.origin=pad", "vehicles.1.origin=pad"), seed=6, prepare=off))
 
@@ -331,7 +331,7 @@ def test_attitudes_as_euler_angles_do_as_well() -> None:
         return [datagram._replace(data=b"".join(kept))] if kept else []
 
     def ask(flight: Flight) -> None:
-        flight.world.streams.set_interval(1, "ATTITUDE", 20_000_000, flight.now_ns)
+        flight.world.state.streams.set_interval(1, "ATTITUDE", 20_000_000, flight.now_ns)
 
     look = _when(lambda flight: flight.now_ns > SECOND_NS, ask)
     _assert_flown(Flight(pair(), tamper=strip, interrupt_when=look, chatter=True))
@@ -372,7 +372,7 @@ def test_an_origin_that_is_never_told_is_taken_from_the_two_positions() -> None:
         return [datagram._replace(data=b"".join(kept))] if kept else []
 
     def far(world: World) -> None:
-        world.estimator.origin_error_enu_m += np.array([[50.0, -20.0], [10.0, 60.0], [0.5, -0.5]])
+        world.state.estimator.origin_error_enu_m += np.array([[50.0, -20.0], [10.0, 60.0], [0.5, -0.5]])
 
     flight = Flight(pair(), tamper=untold, prepare=far)
     _assert_flown(flight)

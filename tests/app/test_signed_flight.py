@@ -108,7 +108,7 @@ def test_vehicles_that_know_no_date_are_given_ours_and_fly(key_file: Path) -> No
         """GPS never tells the date."""
 
     def prepare(world: World) -> None:
-        world.state.has_gps[:] = True  # positions as ever: only the date is not known
+        world.state.known.has_gps[:] = True  # positions as ever: only the date is not known
         for signing in world.signing:
             signing.date = dateless  # type: ignore[method-assign]
 

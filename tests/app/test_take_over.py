@@ -189,7 +189,7 @@ def test_one_that_comes_down_by_its_failsafe_while_it_is_taken_over_is_told() ->
 def test_where_nobody_tells_its_home_the_missions_own_word_is_taken_and_people_are_told() -> None:
     plan = four()
     world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_holds)
-    world.state.muted["HOME_POSITION"] = np.ones(4, dtype=np.bool_)
+    world.state.broken.muted["HOME_POSITION"] = np.ones(4, dtype=np.bool_)
     flight = Flight(plan, world=world, take_over=True)
     assert (flight.runner.outcome, flight.runner.reason) == ("completed", "")
     trust = [text for text in flight.texts("info") if text.endswith("is taken on trust")]
@@ -293,7 +293,7 @@ def test_one_that_did_not_take_off_from_its_pad_is_left_to_its_failsafe() -> Non
     moved = four("vehicles.0.pad_m=[-1.0, -1.0, 0.0]")
     world = _left_in_the_air(four(), still_in(Phase.HOLD, 1.0), prepare=_holds)
     for pilot in world.autopilots[:1]:
-        world.state.home_enu_m[:, pilot.body.index] += np.array([0.0, 0.8, 0.0])
+        world.state.known.home_enu_m[:, pilot.body.index] += np.array([0.0, 0.8, 0.0])
     flight = Flight(moved, world=world, take_over=True)
     assert flight.runner.outcome == "aborted"
     assert "vehicle 1: took off 0.80 m from its pad, limit 0.3 m; is pad_m or its id right?" in flight.runner.reason

@@ -327,16 +327,16 @@ def test_overlapping_faults_of_a_vehicle_last_until_the_last_one_ends() -> None:
     for kind in kinds:
         here.inject(fault(kind, for_s=3.0))
     ground.run(1.0)
-    stuck = here.state.frozen_pos_enu_m.copy()
-    here.estimator.pos_error = here.estimator.pos_error + 1.0
+    stuck = here.state.broken.frozen_pos_enu_m.copy()
+    here.state.estimator.pos_error = here.state.estimator.pos_error + 1.0
     for kind in kinds:
         here.inject(fault(kind, for_s=1.0))
-    assert here.state.frozen_pos_enu_m.tolist() == stuck.tolist()  # frozen already
+    assert here.state.broken.frozen_pos_enu_m.tolist() == stuck.tolist()  # frozen already
 
     def wrong() -> list[bool]:
         state = (
-            here.state.frozen[0],
-            here.state.invalid[0],
+            here.state.broken.frozen[0],
+            here.state.broken.invalid[0],
             here.dynamics.health.tumbling[0],
             pilot.deny_arming,
             pilot.ignore_commands,

@@ -181,7 +181,7 @@ def hovering(height_m: float = 4.0, **options: Any) -> Ground:
     ground = Ground(world(**options))
     ground.run(2.5)
     for name, hz in LEAN_RATES_HZ.items():  # the rest of the onboard link would only make the tests slow
-        ground.world.streams.set_interval(0, name, round(1e9 / hz) if hz else 0, ground.now_ns)
+        ground.world.state.streams.set_interval(0, name, round(1e9 / hz) if hz else 0, ground.now_ns)
     ground.stream = ground.velocity
     ground.run(0.1)
     assert ground.ask(176, 1, 6) == 0

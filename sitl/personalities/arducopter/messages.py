@@ -15,7 +15,7 @@ ARDUPILOT_MESSAGES: dict[str, Message] = {}
 @message(ARDUPILOT_MESSAGES)
 def _ekf_status_report(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("EKF_STATUS_REPORT", vehicles)
-    good = state.has_position[vehicles] & ~state.invalid[vehicles]
+    good = state.known.has_position[vehicles] & ~state.broken.invalid[vehicles]
     # without a position: attitude, velocities and height, and "constant position"; nothing before it has begun
     begun = np.array([pilot.age_ns >= pilot.boot.deaf_ns for pilot in pilots_of(state, vehicles)], dtype=bool)
     out["flags"] = np.where(good, 0x33F, np.where(begun, 0xA7, 0x400))
