@@ -30,6 +30,7 @@ MAY = {
     "Columns.need_m": "of one vehicle that is about to land: for its place, and for who is below",
     "Fleet.heartbeat_stale": "by the monitor of heartbeats, and by who waits until everybody is down",
     "Killing.not_shown": "before the phase's step, which may kill, and after it",
+    "Placement.from_anchor": "the same place, compared with the pad and with the local position",
     "Team.absent": "before landings are asked for, which changes who follows, and after that",
 }
 """What may be asked twice, and why."""

@@ -31,7 +31,7 @@ from groundstation.core.errors import PreflightRefused, UserError
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission, read_spec
 from groundstation.mission.purpose import Purpose
-from groundstation.mission.runner import Runner
+from groundstation.mission.told import Told
 from groundstation.records.manifest import (
     Manifest,
     claim_log,
@@ -285,7 +285,7 @@ def _values(session: Session, log_path: Path | None, seed: int | None) -> dict[s
     }
 
 
-def _for_the_record(runner: Runner, gate: FlightGate | None) -> dict[str, Any]:
+def _for_the_record(runner: Told, gate: FlightGate | None) -> dict[str, Any]:
     """What the manifest keeps beside the figures: events that were only counted, and where local frames begin."""
     refused = gate.totals() if gate is not None else {}
     return {

@@ -48,7 +48,7 @@ def fleet(plan: MissionPlan) -> Fleet:
 
 def _frame(plan: MissionPlan, fleet: Fleet) -> TeamFrame:
     frame = TeamFrame(plan)
-    frame.look(fleet, SECOND_NS)
+    frame.placement.look(fleet, SECOND_NS)
     return frame
 
 
@@ -74,7 +74,7 @@ def test_the_frame_hangs_on_the_first_pad_and_heights_count_from_the_pads(plan: 
     frame.settle(fleet, SECOND_NS)
     fleet.pos_local_ned_m[1] = (3.0, 0.5, -2.0)
     fleet.origin_deg_m[1, 0] += 1.0  # in flight no origin is followed
-    frame.look(fleet, 9 * SECOND_NS)
+    frame.placement.look(fleet, 9 * SECOND_NS)
     after = frame.poses(fleet, SECOND_NS).pos_team_ned_m
     np.testing.assert_allclose(after, [(0.0, -2.5, 0.0), (3.0, 3.0, -2.0)], atol=0.02)
 
@@ -139,7 +139,7 @@ def test_a_battery_with_less_than_the_mission_needs_is_refused_one_that_is_not_t
     plan: MissionPlan, fleet: Fleet
 ) -> None:
     checks, _ = _checks(plan, fleet)
-    need = checks.standing(0, SECOND_NS).battery_need
+    need = checks.checked(0, SECOND_NS).battery_need
     fleet.status_ns[:] = SECOND_NS
     refused = []
     for left in (need - 0.01, need, math.nan):
@@ -288,7 +288,7 @@ def test_one_that_is_armed_is_asked_and_told_nothing() -> None:
 
 def _looked(preflight: Preflight, frame: TeamFrame, fleet: Fleet, now_ns: int) -> GroundState:
     """One tick on the ground."""
-    frame.look(fleet, now_ns)
+    frame.placement.look(fleet, now_ns)
     return preflight.step(now_ns, {}, frame.poses(fleet, now_ns).pos_team_ned_m)
 
 

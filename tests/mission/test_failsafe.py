@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from groundstation.app.resources import packaged_configs
 from groundstation.mission.ground.battery_need import battery_needs, flight_time_s
 from groundstation.mission.ground.failsafe import make_failsafe, out_of_turn
-from groundstation.mission.ground.standing import pad_words, too_near, wrong_pad
+from groundstation.mission.ground.on_the_pads import pad_words, too_near, wrong_pad
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
 

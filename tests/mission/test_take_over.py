@@ -46,7 +46,7 @@ class Scene:
 
     def _step(self) -> TakeOverState:
         frame = self.runner._team.frame
-        frame.look_in_flight(self.fleet, self.now_ns)
+        frame.placement.look_in_flight(self.fleet, self.now_ns)
         return self.take_over.step(self.now_ns, frame.poses(self.fleet, self.now_ns).pos_team_ned_m)
 
     def run(self, each: Callable[[], None] | None = None, seconds: float = 30.0) -> TakeOverState:

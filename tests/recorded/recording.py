@@ -233,7 +233,7 @@ def listen(recording: Recording) -> Belief:
             station.ingest()
             fleet.take_texts()
             if phase == "connect":
-                frame.look(fleet, now_ns)
+                frame.placement.look(fleet, now_ns)
             poses = frame.poses(fleet, now_ns)
             if phase == "connect":
                 _on_the_ground(preflight, station, poses, belief, now_ns)

@@ -31,7 +31,8 @@ from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.runner import Phase, Runner
+from groundstation.mission.runner import Phase
+from groundstation.mission.told import Told
 from groundstation.records.manifest import (
     manifest_path,
     versions,
@@ -264,7 +265,7 @@ class _Flown:
         clearance = min_clearance(pos_ned_m, self._plan.region, ~self._unsteered, flying=truth.airborne)
         self._min_clearance = min(self._min_clearance, clearance)
 
-    def _figures(self, runner: Runner, meter: TruthMeter, *, late: bool) -> Row:
+    def _figures(self, runner: Told, meter: TruthMeter, *, late: bool) -> Row:
         plan, figures, setting = self._plan, runner.figures, self._case.setting
         radius_m = plan.spec.avoidance.radius_m
         self._witness.ended(self._world.now_ns)

@@ -28,7 +28,7 @@ from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import FormStep
 from groundstation.mission.plan.stages import roles_for
-from groundstation.mission.roster import Roster
+from groundstation.mission.roster import Duties
 from groundstation.mission.verdict import Figures
 
 _CLEAR_OF_FLOOR_M = 0.05  # how far above the floor the lowest are kept: it is in nobody's way then
@@ -67,7 +67,7 @@ class FormationFlight:
     def __init__(
         self,
         plan: MissionPlan,
-        roster: Roster,
+        roster: Duties,
         helm: Helm,
         figures: Figures,
         note: Callable[[str, str, tuple[int, ...]], None],

@@ -22,6 +22,10 @@ class Placement:
         plan: pads, origins, anchor.
 
     Attributes:
+        pads_ned_m: shape (n, 3).
+        on_earth: those that fly by global positions and need no local frame, shape (n,).
+        gps: those whose place in the team frame comes from their place on earth, shape (n,).
+        by_origin: those of them that fly in a local frame, whose origin they tell, shape (n,).
         origin_team_ned_m: of each vehicle's local frame, shape (n, 3); NaN while not known, and where it needs none.
         anchor_deg_m: place of the team frame's origin on earth: latitude, longitude, height; None while not known.
         settled: held from now on.
@@ -31,40 +35,40 @@ class Placement:
     def __init__(self, plan: MissionPlan) -> None:
         spec = plan.spec
         self._plan = plan
-        self._pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
+        self.pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
         n = plan.size
-        self._global: BoolArray = np.array([vehicle.position == "global" for vehicle in spec.vehicles])
-        self._gps: BoolArray = np.array([plan.uses_gps(i) for i in range(n)])
-        self._by_origin: BoolArray = self._gps & ~self._global
+        self.on_earth: BoolArray = np.array([vehicle.position == "global" for vehicle in spec.vehicles])
+        self.gps: BoolArray = np.array([plan.uses_gps(i) for i in range(n)])
+        self.by_origin: BoolArray = self.gps & ~self.on_earth
         self.origin_team_ned_m: FloatArray = np.full((n, 3), np.nan)
         for i, vehicle in enumerate(spec.vehicles):
             if vehicle.origin == "pad":
-                self.origin_team_ned_m[i] = self._pads_ned_m[i]
+                self.origin_team_ned_m[i] = self.pads_ned_m[i]
             elif vehicle.origin == "team":
                 self.origin_team_ned_m[i] = 0.0
             elif vehicle.origin_m is not None:
                 self.origin_team_ned_m[i] = frames.ned_from_enu(np.array(vehicle.origin_m))
-        self.origin_team_ned_m[self._by_origin] = np.nan
+        self.origin_team_ned_m[self.by_origin] = np.nan
         anchor = spec.anchor
         self.anchor_deg_m: FloatArray | None = (
             None if anchor is None else np.array([anchor.lat_deg, anchor.lon_deg, anchor.alt_m])
         )
-        self._anchor_is_given = anchor is not None or not self._gps.any()
-        self.hangs_on = None if self._anchor_is_given else int(np.flatnonzero(self._gps)[0])
+        self._anchor_is_given = anchor is not None or not self.gps.any()
+        self.hangs_on = None if self._anchor_is_given else int(np.flatnonzero(self.gps)[0])
         self._derived_deg_m: FloatArray = np.full((n, 3), np.nan)
         self._next_look_ns = 0
         self.settled = False
 
     def look(self, fleet: Fleet, now_ns: int) -> None:
         """Follows what the vehicles say of their origins, as long as nothing is settled."""
-        if self.settled or not self._gps.any() or now_ns < self._next_look_ns:
+        if self.settled or not self.gps.any() or now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + _LOOK_NS
         if not self._anchor_is_given:
             self._hang_on_first(fleet)
         if self.anchor_deg_m is not None:
-            rows = np.flatnonzero(self._by_origin)
-            self.origin_team_ned_m[rows] = self._from_anchor(self._origins_deg_m(fleet)[rows])
+            rows = np.flatnonzero(self.by_origin)
+            self.origin_team_ned_m[rows] = self.from_anchor(self._origins_deg_m(fleet)[rows])
 
     def derive_origin(self, fleet: Fleet, vehicle: int) -> bool:
         """Takes a vehicle's origin from its two positions, for one that stands and does not tell it.
@@ -90,6 +94,10 @@ class Placement:
             return False
         return bool(np.linalg.norm(pymap3d.geodetic2ned(*place, *origin)) > _FAR_ORIGIN_M)
 
+    def settle(self) -> None:
+        """What is known now holds for the flight."""
+        self.settled = True
+
     def hold_anchor(self) -> None:
         """Keeps the anchor as it is now: vehicles are about to be given it for their origin."""
         self._anchor_is_given = True
@@ -101,27 +109,27 @@ class Placement:
 
     def known(self, vehicle: int) -> bool:
         """Whether a vehicle's reports can be placed in the team frame."""
-        if self._global[vehicle]:
+        if self.on_earth[vehicle]:
             return self.anchor_deg_m is not None
         return bool(np.isfinite(self.origin_team_ned_m[vehicle]).all())
 
     def look_in_flight(self, fleet: Fleet, now_ns: int) -> None:
         """The same as ``look`` for vehicles that are in the air: their homes stand in for where they stand."""
-        if self.settled or not self._gps.any() or now_ns < self._next_look_ns:
+        if self.settled or not self.gps.any() or now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + _LOOK_NS
         if not self._anchor_is_given:
-            told = np.flatnonzero(self._gps & np.isfinite(fleet.home_deg_m).all(axis=1))
+            told = np.flatnonzero(self.gps & np.isfinite(fleet.home_deg_m).all(axis=1))
             if len(told):
                 first = int(told[0])
                 place = fleet.home_deg_m[first]
-                self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)
+                self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self.pads_ned_m[first], *place), dtype=np.float64)
                 self._anchor_is_given = True
         if self.anchor_deg_m is not None:
-            rows = np.flatnonzero(self._by_origin)
-            self.origin_team_ned_m[rows] = self._from_anchor(fleet.origin_deg_m[rows])
+            rows = np.flatnonzero(self.by_origin)
+            self.origin_team_ned_m[rows] = self.from_anchor(fleet.origin_deg_m[rows])
 
-    def _from_anchor(self, places_deg_m: FloatArray) -> FloatArray:
+    def from_anchor(self, places_deg_m: FloatArray) -> FloatArray:
         """Places on earth in the team frame, shape (k, 3); NaN stays NaN."""
         if self.anchor_deg_m is None:
             return np.full_like(places_deg_m, np.nan)
@@ -130,11 +138,11 @@ class Placement:
 
     def _hang_on_first(self, fleet: Fleet) -> None:
         """Places the anchor so that the first vehicle that uses GPS stands on its pad."""
-        first = int(np.flatnonzero(self._gps)[0])
+        first = int(np.flatnonzero(self.gps)[0])
         place = fleet.place_deg_m[first]
-        if not self._global[first]:
+        if not self.on_earth[first]:
             origin = self._origins_deg_m(fleet)[first]
             if not self.far_from_origin(fleet, first):
                 place = np.array(pymap3d.ned2geodetic(*fleet.pos_local_ned_m[first], *origin))
         if np.isfinite(place).all():
-            self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self._pads_ned_m[first], *place), dtype=np.float64)
+            self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self.pads_ned_m[first], *place), dtype=np.float64)

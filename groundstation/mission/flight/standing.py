@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
-from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.links import LinkPlan
 
 _LEAST_S = 1.5
 _REPORTS = 4.0  # that may be missing where they come rarely
@@ -23,7 +23,7 @@ class Standing:
         fleet: what the vehicles report.
     """
 
-    def __init__(self, plan: MissionPlan, fleet: Fleet) -> None:
+    def __init__(self, plan: LinkPlan, fleet: Fleet) -> None:
         self._fleet = fleet
         self._limit_s = _limit_s(plan)
         self._at_ns = NEVER
@@ -46,7 +46,7 @@ class Standing:
             self._airborne = self._fleet.armed & ~self._stands
 
 
-def _limit_s(plan: MissionPlan) -> FloatArray:
+def _limit_s(plan: LinkPlan) -> FloatArray:
     """Age from which on EXTENDED_SYS_STATE says nothing of now, by the rates of each vehicle's link, shape (n,)."""
     reports_hz = np.array([plan.rates_of(i).status_hz()["EXTENDED_SYS_STATE"] for i in range(plan.size)])
     return np.asarray(np.maximum(_LEAST_S, _REPORTS / reports_hz))

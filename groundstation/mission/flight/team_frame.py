@@ -27,16 +27,20 @@ _TOGETHER_NS = 300_000_000  # no further than this is a position brought by its 
 _COMPARED_NS = 10 * SECOND_NS  # after this a comparison says nothing of now
 
 
-class TeamFrame(Placement):
+class TeamFrame:
     """Where the vehicles' own frames lie in the team's, and where everybody is in it.
 
     Args:
         plan: pads, origins, anchor.
+
+    Attributes:
+        placement: where the vehicles' own frames begin.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
-        super().__init__(plan)
         n = plan.size
+        self._plan = plan
+        self.placement = Placement(plan)
         self._shift_ned_m: FloatArray = np.zeros((n, 3))
         self._nobody: BoolArray = np.zeros(n, dtype=np.bool_)
         self._compared_ns: IntArray = np.full((n, 2), NEVER, dtype=np.int64)
@@ -53,17 +57,17 @@ class TeamFrame(Placement):
         declared to begin at their pads, and that fly by GPS, are shifted to their pads altogether: their estimates
         began somewhere near.
         """
-        self._settle(self._pads_ned_m - self._reported(fleet, now_ns))
+        self._settle(self.placement.pads_ned_m - self._reported(fleet, now_ns))
 
     def _settle(self, gap: FloatArray) -> None:
         """Shifts heights, and places that are only roughly known, by what the vehicles were off while they stood."""
         known = np.asarray(np.isfinite(gap).all(axis=1))
         gap = np.where(known[:, None], gap, 0.0)
-        self._shift_ned_m[self._gps, 2] = gap[self._gps, 2]
+        self._shift_ned_m[self.placement.gps, 2] = gap[self.placement.gps, 2]
         if self._plan.positioning == "gps":
-            at_pad = np.array([vehicle.origin == "pad" for vehicle in self._plan.spec.vehicles]) & ~self._gps
+            at_pad = np.array([vehicle.origin == "pad" for vehicle in self._plan.spec.vehicles]) & ~self.placement.gps
             self._shift_ned_m[at_pad] = gap[at_pad]
-        self.settled = True
+        self.placement.settle()
 
     # In the air: what the ground would have told, from where the vehicles took off
 
@@ -74,36 +78,40 @@ class TeamFrame(Placement):
             if not autopilot.tells_home_locally:
                 on_earth = (*fleet.home_deg_m[vehicle], *fleet.origin_deg_m[vehicle])
                 local[vehicle] = pymap3d.geodetic2ned(*on_earth) if np.isfinite(on_earth).all() else np.nan
-        return np.where(self._global[:, None], self._from_anchor(fleet.home_deg_m), self.origin_team_ned_m + local)
+        return np.where(
+            self.placement.on_earth[:, None],
+            self.placement.from_anchor(fleet.home_deg_m),
+            self.placement.origin_team_ned_m + local,
+        )
 
     def home_off_pad_m(self, fleet: Fleet) -> FloatArray:
         """How far from their pads the vehicles took off, shape (n,); NaN where they do not tell. See ``off_pad_m``."""
-        gap = self._homes_team_ned_m(fleet) - self._pads_ned_m
-        gap[self._gps, 2] /= 3.0
+        gap = self._homes_team_ned_m(fleet) - self.placement.pads_ned_m
+        gap[self.placement.gps, 2] /= 3.0
         return np.asarray(np.linalg.norm(gap, axis=1))
 
     def settle_in_flight(self, fleet: Fleet) -> None:
         """The same as ``settle`` for vehicles that are in the air."""
-        self._settle(self._pads_ned_m - self._homes_team_ned_m(fleet))
+        self._settle(self.placement.pads_ned_m - self._homes_team_ned_m(fleet))
 
     def local_origins_enu_m(self) -> FloatArray:
         """Where LOCAL_POSITION_NED of each vehicle begins, team frame ENU, shape (n, 3); NaN where it is not used."""
-        origins = frames.enu_from_ned(self.origin_team_ned_m + self._shift_ned_m)
-        return np.where(self._global[:, None], np.nan, origins)
+        origins = frames.enu_from_ned(self.placement.origin_team_ned_m + self._shift_ned_m)
+        return np.where(self.placement.on_earth[:, None], np.nan, origins)
 
     def words(self) -> list[str]:
         """Where the local frames lie, for the log: a line for each vehicle whose frame was not declared."""
         lines = []
         for vehicle, spec in enumerate(self._plan.spec.vehicles):
-            origin = frames.enu_from_ned(self.origin_team_ned_m[vehicle] + self._shift_ned_m[vehicle])
-            if np.isfinite(origin).all() and (self._by_origin[vehicle] or self._shift_ned_m[vehicle].any()):
+            origin = frames.enu_from_ned(self.placement.origin_team_ned_m[vehicle] + self._shift_ned_m[vehicle])
+            if np.isfinite(origin).all() and (self.placement.by_origin[vehicle] or self._shift_ned_m[vehicle].any()):
                 place = " ".join(f"{value:.3f}" for value in origin)
                 lines.append(f"vehicle {spec.id}: its local frame begins at {place} m in the team frame (ENU)")
         return lines
 
     def poses(self, fleet: Fleet, now_ns: int) -> Poses:
         """Poses of the team at one instant, each brought there from its measurement by its velocity."""
-        velocity = np.where(self._global[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
+        velocity = np.where(self.placement.on_earth[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
         return Poses(self._reported(fleet, now_ns) + self._shift_ned_m, velocity, fleet.quat_ned_from_frd, self._nobody)
 
     def pose_ns(self, fleet: Fleet) -> IntArray:
@@ -112,15 +120,15 @@ class TeamFrame(Placement):
         Attitudes that are asked for less often than positions may be that much older.
         """
         attitude_ns = np.where(fleet.attitude_ns == NEVER, NEVER, fleet.attitude_ns + self._attitude_late_ns)
-        return np.minimum(np.where(self._global, fleet.place_ns, fleet.pose_ns), attitude_ns)
+        return np.minimum(np.where(self.placement.on_earth, fleet.place_ns, fleet.pose_ns), attitude_ns)
 
     def off_pad_m(self, pos_team_ned_m: FloatArray) -> FloatArray:
         """How far from their pads the vehicles stand that report to be at these places, shape (n,).
 
         A height from GPS counts a third: it is that much worse, and is not flown by.
         """
-        gap = pos_team_ned_m - self._pads_ned_m
-        gap[self._gps, 2] /= 3.0
+        gap = pos_team_ned_m - self.placement.pads_ned_m
+        gap[self.placement.gps, 2] /= 3.0
         return np.asarray(np.linalg.norm(gap, axis=1))
 
     def off_pad_on_earth_m(self, fleet: Fleet, now_ns: int, old_ns: int) -> FloatArray:
@@ -128,8 +136,8 @@ class TeamFrame(Placement):
 
         NaN where that, or the anchor, is not known, or is older than a time.
         """
-        told = self._gps & (now_ns - fleet.place_ns <= old_ns)
-        gap = self._from_anchor(np.where(told[:, None], fleet.place_deg_m, np.nan)) - self._pads_ned_m
+        told = self.placement.gps & (now_ns - fleet.place_ns <= old_ns)
+        gap = self.placement.from_anchor(np.where(told[:, None], fleet.place_deg_m, np.nan)) - self.placement.pads_ned_m
         # Chords of the earth: what is far away is below the horizon, too.
         return np.asarray(
             np.where(np.abs(gap[:, 2]) > 10_000.0, np.linalg.norm(gap, axis=1), np.hypot(gap[:, 0], gap[:, 1]))
@@ -148,15 +156,15 @@ class TeamFrame(Placement):
 
     def _compare(self, fleet: Fleet) -> None:
         """Compares both positions of those whose global one is new; ``_apart_m[:, 0]`` is the newer comparison."""
-        news = self._by_origin & (fleet.place_ns - self._compared_ns[:, 0] >= _COMPARE_AGAIN_NS)
+        news = self.placement.by_origin & (fleet.place_ns - self._compared_ns[:, 0] >= _COMPARE_AGAIN_NS)
         gap_ns = fleet.place_ns - fleet.pose_ns
         news &= np.abs(gap_ns) <= _TOGETHER_NS
-        if self.anchor_deg_m is None or not news.any():
+        if self.placement.anchor_deg_m is None or not news.any():
             return
         rows = np.flatnonzero(news)
-        local = self.origin_team_ned_m[rows] + fleet.pos_local_ned_m[rows]
+        local = self.placement.origin_team_ned_m[rows] + fleet.pos_local_ned_m[rows]
         local += fleet.vel_ned_m_s[rows] * (gap_ns[rows] / SECOND_NS)[:, None]
-        apart = np.linalg.norm(local - self._from_anchor(fleet.place_deg_m[rows]), axis=1)
+        apart = np.linalg.norm(local - self.placement.from_anchor(fleet.place_deg_m[rows]), axis=1)
         self._apart_m[rows] = np.stack([apart, self._apart_m[rows, 0]], axis=1)
         self._compared_ns[rows] = np.stack([fleet.place_ns[rows], self._compared_ns[rows, 0]], axis=1)
 
@@ -164,9 +172,9 @@ class TeamFrame(Placement):
         """Positions as reported, brought to an instant, shape (n, 3)."""
         limit_s = self._plan.spec.limits.pose_age_s
         age_s = np.clip((now_ns - fleet.pose_ns) / SECOND_NS, 0.0, limit_s)[:, None]
-        position = self.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s
-        if self._global.any():
-            rows = np.flatnonzero(self._global)
+        position = self.placement.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s
+        if self.placement.on_earth.any():
+            rows = np.flatnonzero(self.placement.on_earth)
             age_s = np.clip((now_ns - fleet.place_ns[rows]) / SECOND_NS, 0.0, limit_s)[:, None]
-            position[rows] = self._from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
+            position[rows] = self.placement.from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
         return np.asarray(position)

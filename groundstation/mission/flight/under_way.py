@@ -12,7 +12,7 @@ from groundstation.mission.flight.keeping import PlaceKeeper
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.schema import FormStep, Step
 from groundstation.mission.plan.stages import Stage
-from groundstation.mission.roster import Roster
+from groundstation.mission.roster import Duties
 from groundstation.mission.verdict import Figures
 
 
@@ -37,7 +37,7 @@ class UnderWay:
     def __init__(
         self,
         plan: MissionPlan,
-        roster: Roster,
+        roster: Duties,
         guide: Guide,
         figures: Figures,
         note: Callable[[str, str, tuple[int, ...]], None],

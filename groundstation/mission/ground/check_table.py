@@ -109,7 +109,7 @@ def check_rows(
     uncertain_s = fleet.clocks.uncertainty_s()
     rows = []
     for i, spec in enumerate(plan.spec.vehicles):
-        standing = checks.standing(i, now_ns)
+        checked_now = checks.checked(i, now_ns)
         heard = fleet.heartbeat_ns[i] != NEVER
         mode = int(fleet.custom_mode[i])
         prefix = f"vehicle {spec.id}: "
@@ -118,10 +118,10 @@ def check_rows(
                 id=spec.id,
                 role=int(checks.failsafe.roles[i]) + 1,
                 link=spec.link,
-                firmware=f"{spec.autopilot} {standing.firmware}".strip() if heard else "",
+                firmware=f"{spec.autopilot} {checked_now.firmware}".strip() if heard else "",
                 mode=plan.autopilots[i].mode_name(mode) if mode != UNKNOWN else "",
                 heartbeat_age_s=_age_s(now_ns, int(fleet.heartbeat_ns[i])),
-                estimator=standing.estimator if heard else "",
+                estimator=checked_now.estimator if heard else "",
                 position_age_s=_age_s(now_ns, int(pose_ns[i])),
                 off_pad_m=float(off_m[i]),
                 off_pad_limit_m=plan.limits.pad_error_m,
@@ -130,9 +130,9 @@ def check_rows(
                 asked_hz=plan.rates_of(i).pose_hz,
                 round_trip_s=float(fleet.clocks.round_trip_s[i]),
                 clock_s=float(uncertain_s[i]),
-                battery=standing.battery,
-                battery_need=standing.battery_need,
-                failsafe=standing.failsafe if heard else "",
+                battery=checked_now.battery,
+                battery_need=checked_now.battery_need,
+                failsafe=checked_now.failsafe if heard else "",
                 checked=checked[i],
                 problems=tuple(text.removeprefix(prefix) for text in problems if text.startswith(prefix)),
                 notes=tuple(checks.notes(i, now_ns)) if heard else (),

@@ -16,8 +16,8 @@ from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import NEVER, UNKNOWN
 from groundstation.mission.ground.battery_need import battery_needs
 from groundstation.mission.ground.failsafe import FailsafePlan, OutOfTurn, make_failsafe
+from groundstation.mission.ground.on_the_pads import pad_words, too_near
 from groundstation.mission.ground.parameters import ParameterCheck
-from groundstation.mission.ground.standing import pad_words, too_near
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, AskAgain, Since
 
@@ -29,7 +29,7 @@ _RELEASES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: ""}  # FIRMWARE
 
 
 @dataclass(frozen=True)
-class Standing:
+class Checked:
     """What one vehicle's checks come to besides its problems, for a table.
 
     Attributes:
@@ -158,7 +158,7 @@ class Checks:
         """On whose pad a vehicle stands, where it is not its own."""
         return pad_words(vehicle, self._ids, pos_team_ned_m, self._pads_ned_m, self._plan.limits.pad_error_m)
 
-    def standing(self, vehicle: int, now_ns: int) -> Standing:
+    def checked(self, vehicle: int, now_ns: int) -> Checked:
         """What the checks come to, for a table."""
         fleet, findings = self._station.fleet, self._parameters.findings(vehicle)
         version = int(fleet.firmware[vehicle])
@@ -172,7 +172,7 @@ class Checks:
         else:
             counts = ((grave, "wrong"), (later, "to be set"), (len(findings), "unusual"))
             failsafe = next((f"{count} {word}" for count, word in counts if count), "as planned")
-        return Standing(
+        return Checked(
             firmware="" if version == UNKNOWN else version_words(version),
             estimator=(self._estimator_trouble(vehicle) or "good") if told else "not told",
             battery=float(fleet.battery_remaining[vehicle]),

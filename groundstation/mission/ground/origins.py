@@ -58,7 +58,7 @@ class Origins:
         if not self._far[vehicle]:
             return None
         km = self._off_m[vehicle] / 1e3
-        first, anchor = self._frame.hangs_on, self._plan.spec.anchor
+        first, anchor = self._frame.placement.hangs_on, self._plan.spec.anchor
         place = self._station.fleet.place_deg_m[vehicle]
         here = f"it is at {place[0]:.5f}, {place[1]:.5f}"
         if anchor is None:
@@ -101,7 +101,7 @@ class Origins:
     def doubted(self, now_ns: int) -> BoolArray:
         """Vehicles whose place means nothing at the moment, shape (n,): their origin moves, or the first one's does."""
         doubted = np.array([self.in_doubt(vehicle, now_ns) for vehicle in range(self._plan.size)])
-        first = self._frame.hangs_on
+        first = self._frame.placement.hangs_on
         if first is not None and doubted[first]:
             doubted |= self._gps
         return doubted
@@ -120,14 +120,14 @@ class Origins:
             self._plan.spec.set_gps_origin
             and self._plan.autopilots[vehicle].takes_origin
             and self._given[vehicle] < _TRIES
-            and not self._frame.has_common_origin(self._station.fleet, vehicle)
+            and not self._frame.placement.has_common_origin(self._station.fleet, vehicle)
         )
 
     def waiting(self, vehicle: int) -> str | None:
         """What an origin that is still to be given waits for, and what is wrong with one that nobody corrects."""
         spec = self._plan.spec
         if not self.wanted(vehicle):
-            if self._by_origin(vehicle) and self._frame.far_from_origin(self._station.fleet, vehicle):
+            if self._by_origin(vehicle) and self._frame.placement.far_from_origin(self._station.fleet, vehicle):
                 return (
                     "its origin (GPS_GLOBAL_ORIGIN) is kilometres from where it stands, somebody has set a wrong one;"
                     " restart it" + ("" if spec.set_gps_origin else ", or set_gps_origin: true")
@@ -153,11 +153,11 @@ class Origins:
         if not self._asking.due(vehicle, now_ns) or self._station.commands.pending(vehicle):
             return
         self._asking.asked(vehicle, now_ns)
-        anchor, first = self._frame.anchor_deg_m, self._frame.hangs_on
+        anchor, first = self._frame.placement.anchor_deg_m, self._frame.placement.hangs_on
         steady = first is None or not self.in_doubt(first, now_ns)
         told = bool(np.isfinite(fleet.origin_deg_m[vehicle]).all())
         if anchor is not None and steady and told and self.wanted(vehicle) and self.compared():
-            self._frame.hold_anchor()
+            self._frame.placement.hold_anchor()
             self._given[vehicle] += 1
             self._station.send(
                 vehicle,
@@ -170,10 +170,12 @@ class Origins:
         self._station.commands.request(vehicle, plan.autopilots[vehicle].once("GPS_GLOBAL_ORIGIN"))
         self._asks[vehicle] += 1
         untold = bool(np.isnan(fleet.origin_deg_m[vehicle]).any())
-        self._derived[vehicle] = untold and self._asks[vehicle] > _ASKS and self._frame.derive_origin(fleet, vehicle)
+        self._derived[vehicle] = (
+            untold and self._asks[vehicle] > _ASKS and self._frame.placement.derive_origin(fleet, vehicle)
+        )
 
     def _by_origin(self, vehicle: int) -> bool:
         return bool(self._gps[vehicle]) and self._plan.spec.vehicles[vehicle].position == "local"
 
     def _was_given(self, vehicle: int) -> bool:
-        return bool(self._given[vehicle]) and self._frame.has_common_origin(self._station.fleet, vehicle)
+        return bool(self._given[vehicle]) and self._frame.placement.has_common_origin(self._station.fleet, vehicle)

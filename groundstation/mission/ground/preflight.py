@@ -380,7 +380,7 @@ class Preflight:
     ) -> str | None:
         fleet, plan = self._station.fleet, self._plan
         off_m, drift_m = off_and_drift_m
-        first = self._frame.hangs_on
+        first = self._frame.placement.hangs_on
         if first is not None and first != vehicle and plan.uses_gps(vehicle) and self._origins.in_doubt(first, now_ns):
             return None  # told of the first one, on which this place hangs
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
@@ -398,7 +398,7 @@ class Preflight:
                     f"vehicle {plan.spec.vehicles[vehicle].id}: does not tell its origin (GPS_GLOBAL_ORIGIN); it is"
                     " taken from its local and global positions"
                 )
-        if not self._frame.known(vehicle):
+        if not self._frame.placement.known(vehicle):
             return "its place in the team frame is not known yet: no global position of the first vehicle"
         if drift_m > plan.limits.frame_drift_m:
             return (

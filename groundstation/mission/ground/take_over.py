@@ -235,7 +235,7 @@ class TakeOver:
     def _place(self, vehicle: int, now_ns: int, off_m: float, outside_m: float, state: TakeOverState) -> str | None:
         """Whether a vehicle's place is known in the team's frame; returns what is missing."""
         plan, name = self._plan, f"vehicle {self._plan.spec.vehicles[vehicle].id}"
-        if not self._frame.known(vehicle):
+        if not self._frame.placement.known(vehicle):
             return "its place in the team frame is not known: no origin, or no home on earth"
         if np.isnan(off_m):
             if plan.uses_gps(vehicle) or self._taken.began(vehicle, now_ns, _HOME_PATIENCE_NS):

@@ -22,7 +22,7 @@ from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.roster import Roster
+from groundstation.mission.roster import Duties
 from groundstation.mission.timing import SECOND_NS
 
 _FIRST_SHARE = 0.25  # of r: how much larger an obstacle is at once
@@ -107,7 +107,7 @@ class Board:
             self._tell(finding, reaction, findings, sight, others=others)
         return findings
 
-    def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, roster: Roster, now_ns: int) -> Poses:
+    def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, roster: Duties, now_ns: int) -> Poses:
         """Marks whoever is not steered by us: as one that may come down, and as larger than it is.
 
         The radius grows with the time since a vehicle was last seen, as fast as the team may fly, up to a bound.

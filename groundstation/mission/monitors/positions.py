@@ -15,6 +15,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan.links import LinkPlan
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, HeldEach
 
@@ -100,7 +101,7 @@ class PoseJump:
 class LinkSilence:
     """Links on which nothing is heard of anybody any more."""
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: LinkPlan) -> None:
         self._links = plan.links
         self._link_of_vehicle: IntArray = np.array(plan.link_of_vehicle)
         self._limit_s = _LINK_SHARE * plan.spec.limits.pose_lost_s
@@ -122,7 +123,7 @@ class LinkSilence:
 class PoseAge:
     """Poses that are too old to steer by, and poses that are lost."""
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: LinkPlan) -> None:
         self._limits = plan.spec.limits
         self.hold: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._old = Lasting(plan.size, again=True)

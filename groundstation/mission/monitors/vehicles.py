@@ -9,6 +9,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan.links import LinkPlan
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 
@@ -20,7 +21,7 @@ _MODE_LOST_S = 2.5  # two heartbeats, so that one from before our last request i
 class Heartbeats:
     """Vehicles of which nothing is heard, or of which nobody knows any more whether they follow."""
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: LinkPlan) -> None:
         self._limit_s = plan.spec.limits.heartbeat_age_s
         self._lasting = Lasting(plan.size)
 
@@ -87,7 +88,7 @@ class Battery:
 class BatteryAge:
     """Batteries of which nothing is told any more, after it was: nobody would see them run down."""
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: LinkPlan) -> None:
         reports_hz = [plan.rates_of(i).status_hz()["SYS_STATUS"] for i in range(plan.size)]
         self._limit_s: FloatArray = np.maximum(plan.spec.limits.battery_age_s, _REPORTS_MISSED / np.array(reports_hz))
         self._told_ns: IntArray = np.full(plan.size, NEVER, dtype=np.int64)

@@ -30,7 +30,7 @@ class ConnectPhase(PhaseState):
 
     def locate(self, now_ns: int) -> None:
         """Where the vehicles' frames lie is followed until it is settled."""
-        self._team.frame.look(self._team.fleet, now_ns)
+        self._team.frame.placement.look(self._team.fleet, now_ns)
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Goes on with preflight."""

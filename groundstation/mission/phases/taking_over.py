@@ -30,7 +30,7 @@ class TakeOverPhase(PhaseState):
 
     def locate(self, now_ns: int) -> None:
         """Where the vehicles' frames lie is found out from where they took off."""
-        self._team.frame.look_in_flight(self._team.fleet, now_ns)
+        self._team.frame.placement.look_in_flight(self._team.fleet, now_ns)
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Goes on taking over."""

@@ -34,6 +34,11 @@ class LinkPlan:
     rates: tuple[LinkRates, ...]
 
     @property
+    def size(self) -> int:
+        """Number of vehicles, n."""
+        return len(self.spec.vehicles)
+
+    @property
     def stream_links(self) -> tuple[int, ...]:
         """Links on which a frame may arrive in two pieces."""
         return tuple(number for number, address in enumerate(self.addresses) if address.is_stream)

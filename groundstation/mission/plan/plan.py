@@ -67,11 +67,6 @@ class MissionPlan(LinkPlan, FormationPlan):
     own_code: Mapping[str, OwnCode] = field(default_factory=dict)
 
     @property
-    def size(self) -> int:
-        """Number of vehicles, n."""
-        return len(self.spec.vehicles)
-
-    @property
     def region(self) -> SafetyRegion:
         """What is kept clear around every vehicle, without the margin."""
         return region_of(self.spec, self.profile)
