@@ -42,9 +42,9 @@ test: $(STAMP)
 refs: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m tests.reference
 
-# Pages that are drawn from the program; a test fails when they are not up to date.
+# Draws pages and figures from the program (a test fails when pages are not up to date), and builds the site in build/site.
 docs: $(STAMP)
-	$(BIN)/python -c 'from groundstation.mission.phases.table import page; open("docs/phases.md", "w").write(page())'
+	$(BIN)/python -m tests.docs
 
 # Random bytes, and real input bent out of shape, through everything that reads bytes from outside; about half an hour.
 FUZZ_BYTES ?= 10000000

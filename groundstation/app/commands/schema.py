@@ -50,5 +50,7 @@ def schema(
     """
     if what not in MODELS:
         raise UserError(f"gs schema {what}: unknown; known are {', '.join(MODELS)}")
-    values = MODELS[what]().model_json_schema()
+    from groundstation.app.reference.words import described
+
+    values = described(what, MODELS[what]())
     print_text(json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **values}, indent=2))

@@ -1,0 +1,1 @@
+"""Makes the pages that are drawn from the program, the figures and the documentation site: ``make docs``."""
