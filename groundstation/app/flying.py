@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.emulator import TruthMeter, served_world, world_config
+from groundstation.app.forwarding import Forward
 from groundstation.app.keyboard import Keyboard
 from groundstation.app.law_watch import LawWatch
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
@@ -138,6 +139,7 @@ def fly_dry(
         with ExitStack() as at_the_desk:
             if watch is None:
                 at_the_desk.enter_context(interrupts.listening())
+            forward = _watched_along(at_the_desk, session) if realtime else None
             # A dry run in virtual time is over before anybody could say anything.
             controls, prompt = _controls(at_the_desk, session, log_path) if realtime and log_path else ((), None)
             display = at_the_desk.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
@@ -153,8 +155,25 @@ def fly_dry(
     values = _values(session, log_path, seed) | meter.figures() | {"log_complete": _complete(flight.log)}
     record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
     _tell_refused(out, values, plan, gate)
+    _tell_forward(out, forward)
     _finish(out, log_path, flight.manifest, values | record)
     return values | {"beside": record}
+
+
+def _watched_along(stack: ExitStack, session: Session) -> Forward | None:
+    """Lets another ground station watch along, where the mission names one."""
+    address = session.runner.plan.forward
+    if address is None:
+        return None
+    forward = stack.enter_context(Forward(address))
+    session.onward = forward.put
+    session.remark("info", f"what vehicles tell is forwarded to {address.url}; nothing from there is read", 0)
+    return forward
+
+
+def _tell_forward(out: Output, forward: Forward | None) -> None:
+    if forward is not None and forward.words():
+        out.console.print(Text(forward.words()))
 
 
 def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Sequence[Control], Callable[[], str] | None]:
@@ -224,6 +243,7 @@ def fly_vehicles(
         with ExitStack() as at_the_desk:
             at_the_desk.enter_context(interrupts.listening())
             at_the_desk.enter_context(laws.listening())
+            forward = _watched_along(at_the_desk, session)
             controls, prompt = _controls(at_the_desk, session, log_path)
             display = at_the_desk.enter_context(FlightDisplay(out.console, plan, links, prompt))
             fly_real(
@@ -238,6 +258,7 @@ def fly_vehicles(
         values = _values(session, log_path, emulated_seed)
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         _tell_refused(out, values, plan, gate)
+        _tell_forward(out, forward)
         record = _for_the_record(session.runner, gate)
         for url, link in zip(plan.links, links, strict=True):
             record["counts"][f"errors of {url}"] = link.errors

@@ -8,10 +8,10 @@ Loops call it with times; it reads no clock. Replay does the same calls from the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from groundstation.mavlink.blocks import Arrivals
-from groundstation.mavlink.codec import Piece, Splitters
+from groundstation.mavlink.codec import Frame, Piece, Splitters
 from groundstation.mavlink.gate import Gate, Refused
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.operator import parse_command
@@ -35,6 +35,7 @@ class Session:
         said: what the last tick had to say, for whoever waits for the answer to an order.
         unlogged: "" unless the flight was ended before takeoff because it could not be recorded: why.
         armed_unlogged: whether vehicles may have been armed by then.
+        onward: takes what was let in of what vehicles told, as it came; whoever watches along. Never waits or raises.
     """
 
     def __init__(self, runner: Runner, log: TlogWriter | None, gate: Gate | None = None) -> None:
@@ -44,6 +45,7 @@ class Session:
         self.said: list[Note] = []
         self.unlogged = ""
         self.armed_unlogged = False
+        self.onward: Callable[[bytes], None] | None = None
         self._log = log
         self._arrivals = Arrivals()
         self._splitters = Splitters()
@@ -56,19 +58,31 @@ class Session:
         Datagrams are split together, as a block; streams and what is signed are split piece by piece.
         """
         if self.gate is None and link not in self._streams:
+            if self.onward is not None:
+                self.onward(data)
             self._arrivals.add(link, peer, data, t_rx_ns)
             if self._arrivals.size >= _BLOCK_BYTES:
                 self.settle()
             return
         self.settle()
         if self.gate is None:
-            self._admit(link, peer, self._splitters.feed((link, peer), data, stream=True), t_rx_ns)
+            pieces = self._splitters.feed((link, peer), data, stream=True)
+            self._show(pieces)
+            self._admit(link, peer, pieces, t_rx_ns)
             return
         for piece in self.gate.receive(link, peer, data, t_rx_ns):
             if not isinstance(piece, Refused):
+                self._show((piece,))
                 self._admit(link, peer, (piece,), t_rx_ns)
             elif self._log is not None:
                 self._log.refused(link, peer, piece.frame, int(piece.verdict), t_rx_ns)
+
+    def _show(self, pieces: Sequence[Piece]) -> None:
+        """Whole frames for whoever watches along."""
+        if self.onward is not None:
+            for piece in pieces:
+                if isinstance(piece, Frame):
+                    self.onward(piece.raw)
 
     def settle(self) -> None:
         """Splits, records and hands on the datagrams that have arrived; a few one by one, which is quicker then."""

@@ -16,7 +16,7 @@ from groundstation.core.wind import Airframe
 from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.limits import resolve_limits
-from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links
+from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links, read_forward
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW, CodeSource
 from groundstation.mission.plan.plan import MissionPlan, region_of
 from groundstation.mission.plan.positioning import (
@@ -137,6 +137,7 @@ def build_plan(
         addresses=addresses,
         link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
         rates=rates,
+        forward=read_forward(spec, addresses, source),
         positioning=positioning,
         margin_m=margin_m(position_error_m),
         wind=wind,

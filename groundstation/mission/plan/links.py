@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from groundstation.core.errors import UserError
-from groundstation.mavlink.addresses import LinkAddress
+from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan.schema import MissionSpec
 
@@ -25,6 +25,7 @@ class LinkPlan:
         addresses: the same, read.
         link_of_vehicle: index into ``links`` per vehicle.
         rates: of each link.
+        forward: where another ground station watches along; None for nowhere.
     """
 
     spec: MissionSpec
@@ -32,6 +33,7 @@ class LinkPlan:
     addresses: tuple[LinkAddress, ...]
     link_of_vehicle: tuple[int, ...]
     rates: tuple[LinkRates, ...]
+    forward: LinkAddress | None
 
     @property
     def size(self) -> int:
@@ -72,6 +74,34 @@ class LinkPlan:
         """Whether a vehicle's place in the team frame comes from its place on earth."""
         spec = self.spec.vehicles[vehicle]
         return spec.position == "global" or spec.origin == "gps"
+
+
+def read_forward(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> LinkAddress | None:
+    """Where another ground station watches along.
+
+    Raises:
+        UserError: no address of another program, or one at which this program or a vehicle listens: what vehicles tell
+            would come back as if they had told it twice, and late.
+    """
+    if spec.forward is None:
+        return None
+    try:
+        address = parse_address(spec.forward)
+    except UserError:
+        address = None
+    if address is None or address.kind != "udpout" or address.through_mavsdk or not 0 < address.port < 1 << 16:
+        raise UserError(
+            f"{source}: forward: {spec.forward}: expected udpout://HOST:PORT, for example udpout://127.0.0.1:14550"
+        )
+    for other in addresses:
+        listens = other.kind == "udpin" and other.port == address.port
+        speaks = other.kind == "udpout" and (other.host, other.port) == (address.host, address.port)
+        if listens or speaks:
+            raise UserError(
+                f"{source}: forward: {spec.forward}: port {address.port} is that of the vehicles' link {other.url}, and"
+                " what they tell would come back to it; name another port, at which the other ground station listens"
+            )
+    return address
 
 
 def fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> tuple[LinkRates, ...]:

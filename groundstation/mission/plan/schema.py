@@ -410,5 +410,6 @@ class MissionSpec(_CourseKeys):
     link_delay_s: NotNegative = 0.0
     link_bytes_per_s: dict[str, Positive] = {}
     signing: SigningSpec | None = None
+    forward: str | None = None
     profiles: dict[str, ProfileSpec] = {}
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=1)]
