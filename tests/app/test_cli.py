@@ -22,6 +22,8 @@ FLY_KEYS = {
     "duration_s", "wall_s", "log", "log_complete", "seed",
 }  # fmt: skip
 
+TWO = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--set", "steps.1.hold.seconds=1"]
+
 
 def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -109,7 +111,7 @@ def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
+    assert gs([*TWO, "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
     whole = Path("a.tlog").read_bytes()
     code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     assert (code, json.loads(out.splitlines()[-1])["complete"]) == (0, True)
@@ -118,7 +120,7 @@ def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
         code, out, err = gs(arguments, monkeypatch, capsys)
         values = json.loads(out.splitlines()[-1])
         assert code == 1
-        assert values["vehicles"] == 8
+        assert values["vehicles"] == 2
         assert values.get("mismatches", 0) == 0
         assert not values.get("complete", False)
         assert "no whole record" in err
@@ -138,7 +140,7 @@ def test_a_command_that_was_changed_in_the_log_is_found_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", "a.tlog"], monkeypatch, capsys)
+    gs([*TWO, "--log", "a.tlog"], monkeypatch, capsys)
     data = Path("a.tlog").read_bytes()
     start = data.index(bytes([255, 190, 76, 0, 0])) - 5
     (command,) = FrameSplitter().feed(data[start : start + 12 + data[start + 1]])
@@ -234,8 +236,8 @@ def test_a_flight_by_gps_can_be_looked_at_like_any_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    fly = ["fly", "--mission", "px4_cube8.yaml", "--dry-run", "--json", "--log", "a.tlog"]
-    code, out, _ = gs(fly, monkeypatch, capsys)
+    fly = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--json", "--log", "a.tlog"]
+    code, out, _ = gs([*fly, "--set", "steps.1.hold.seconds=1"], monkeypatch, capsys)
     assert code == 0
     true_m = json.loads(out.splitlines()[-1])["min_distance_m"]
     code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)

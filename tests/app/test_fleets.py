@@ -24,7 +24,7 @@ from sitl.autopilot import Autopilot
 from sitl.estimator import GPS
 from sitl.network import LinkConfig
 from sitl.world import Outgoing, World, WorldConfig
-from tests.app.flights import SECOND_NS, Flight, mission, pair
+from tests.app.flights import FULL_RATE, SECOND_NS, Flight, mission, pair
 
 HEARTBEAT = message_id("HEARTBEAT")
 ORIGIN = message_id("GPS_GLOBAL_ORIGIN")
@@ -65,7 +65,8 @@ def _verified(path: Path) -> None:
 )
 def test_the_missions_that_come_along_are_flown_and_keep_r(name: str, seed: int, tmp_path: Path) -> None:
     log = tmp_path / "flight.tlog"
-    flight = Flight(mission(name), seed=seed, log=log, chatter=True)
+    rate = () if name == "first_flight2" else (FULL_RATE,)
+    flight = Flight(mission(name, *rate), seed=seed, log=log, chatter=True)
     _assert_flown(flight)
     _verified(log)
 
