@@ -11,9 +11,10 @@ from sitl.battery import Battery
 from sitl.body import Body
 from sitl.config import SECOND, VehicleConfig
 from sitl.frames import is_place
+from sitl.mavlink_ids import ACCEPTED, DENIED, UNSUPPORTED
 from sitl.mission import MissionFlight
 from sitl.outfit import Outfit
-from sitl.protocol import ACCEPTED, DENIED, UNSUPPORTED, Protocol
+from sitl.protocol import Protocol
 from sitl.setpoints import NOTHING, Setpoint
 from sitl.vision import Vision
 from sitl.wire import whole
@@ -36,7 +37,7 @@ class Autopilot(Protocol):
 
     def __init__(self, body: Body, config: VehicleConfig, outfit: Outfit) -> None:
         super().__init__(body, config, outfit)
-        self.boot = outfit.boot
+        self.boot, self._rates_hz = outfit.boot, outfit.rates_hz
         self.boot_ns = body.now_ns
         self.powered = True
         self.armed, self.armed_ns = False, 0
@@ -133,7 +134,7 @@ class Autopilot(Protocol):
     @property
     def has_position(self) -> bool:
         """Whether the estimator has a position."""
-        return self.body.has_position
+        return self.body.senses.has_position
 
     @property
     def ready(self) -> bool:
@@ -143,31 +144,31 @@ class Autopilot(Protocol):
     @property
     def position_good(self) -> bool:
         """Whether the estimator has a position that can be flown by."""
-        return self.body.position_good
+        return self.body.senses.position_good
 
     def tick(self, now_ns: int, dt_s: float) -> None:
         """Runs everything that does not wait for a message, every 20 ms."""
         body = self.body
         if not self.powered:
             return
-        if not body.talking and self.age_ns >= self.boot.stream_ns:
-            body.talking = True
-            body.set_rates({**self.rates_hz, "HEARTBEAT": 0.0})
+        if not body.link.talking and self.age_ns >= self.boot.stream_ns:
+            body.link.talking = True
+            body.link.set_rates({**self._rates_hz, "HEARTBEAT": 0.0})
             self.started()
         if not self._beating and self.age_ns >= self.boot.heartbeat_ns:
             self._beating = True
-            body.set_interval("HEARTBEAT", SECOND)
-            body.send_now("HEARTBEAT")
-        if not body.has_position:
+            body.link.set_interval("HEARTBEAT", SECOND)
+            body.link.send_now("HEARTBEAT")
+        if not body.senses.has_position:
             self._look_for_position()
         if self.vision is not None:
             self.vision.tick(now_ns)
-        self.battery.drain(body.thrust_m_s2 / 9.80665 * self.armed, dt_s)
-        body.power_motors(self.battery.left > 0.0)
-        if self._param_queue:
-            self.send_queued_params()
-        if self._upload is not None:
-            self.ask_again()
+        self.battery.drain(body.motors.thrust_m_s2 / 9.80665 * self.armed, dt_s)
+        body.motors.power(self.battery.left > 0.0)
+        if self.param_server.waiting:
+            self.param_server.send_queued()
+        if self.mission.uploading:
+            self.mission.ask_again()
         self._detect_landing(now_ns)
         self.update(now_ns)
 
@@ -175,24 +176,24 @@ class Autopilot(Protocol):
         """Called once, when the vehicle sends its first bytes."""
 
     def _look_for_position(self) -> None:
-        if not self.body.has_gps:
+        if not self.body.senses.has_gps:
             return
-        if not self.body.has_origin and self.age_ns >= self.boot.origin_ns:
+        if not self.body.senses.has_origin and self.age_ns >= self.boot.origin_ns:
             self.origin_found()
         if self.age_ns >= self.boot.position_ns:
             self.position_found()
 
     def origin_found(self) -> None:
         """Called when the estimator takes the place where it stands for its origin."""
-        self.body.set_origin()
+        self.body.senses.set_origin()
 
     def position_found(self) -> None:
         """Called when the estimator has found its position."""
-        if not self.body.has_origin:
+        if not self.body.senses.has_origin:
             self.origin_found()
-        self.body.has_position = True
+        self.body.senses.has_position = True
         if self.landed:
-            self.body.set_home(self.body.pos_enu_m)
+            self.body.senses.set_home(self.body.senses.pos_enu_m)
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -201,13 +202,13 @@ class Autopilot(Protocol):
         now_ns = self.body.now_ns
         self.armed, self.armed_ns, self.taken_off = True, now_ns, False
         if self.landed:
-            self.body.set_home(self.body.pos_enu_m)
-            self.body.command(NOTHING, NOTHING)
+            self.body.senses.set_home(self.body.senses.pos_enu_m)
+            self.body.motors.command(NOTHING, NOTHING)
 
     def disarm(self) -> None:
         """Stops the motors at once, wherever the vehicle is."""
         self.armed = self.taken_off = False
-        self.body.stop_motors()
+        self.body.motors.stop()
 
     def _arm_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if params[0] not in (0.0, 1.0):
@@ -233,7 +234,7 @@ class Autopilot(Protocol):
     def _reboot_command(self, params: tuple[float, ...], frame: Frame) -> int | None:
         if params[0] not in (1.0, 3.0) or self.armed:
             return DENIED
-        self.ack(246, ACCEPTED, frame)
+        self.voice.ack(246, ACCEPTED, frame)
         self.body.reboot()
         return None
 
@@ -242,25 +243,25 @@ class Autopilot(Protocol):
         if not self.has_position:
             return DENIED
         if params[0] == 1.0:
-            body.set_home(body.pos_enu_m)
+            body.senses.set_home(body.senses.pos_enu_m)
         else:
             lat, lon, alt = params[4:7]
             if not is_place(lat, lon, alt):
                 return DENIED
-            body.set_home(body.geodesy.enu_from_geodetic(lat, lon, alt))
-        body.send_now("HOME_POSITION")
+            body.senses.set_home(body.geodesy.enu_from_geodetic(lat, lon, alt))
+        body.link.send_now("HOME_POSITION")
         return ACCEPTED
 
     # -- ground and air -----------------------------------------------------------------------------------------
 
     def _detect_landing(self, now_ns: int) -> None:
         if self.landed:
-            if self.armed and self.body.above_ground_m > _LIFTED_M:
+            if self.armed and self.body.senses.above_ground_m > _LIFTED_M:
                 self.landed = False
                 self.taken_off = True
                 self._contact_since_ns = None
             return
-        if not self.body.on_ground or (self.armed and not self.wants_down()):
+        if not self.body.senses.on_ground or (self.armed and not self.wants_down()):
             self._contact_since_ns = None
             return
         if self._contact_since_ns is None:
@@ -268,7 +269,7 @@ class Autopilot(Protocol):
         contact_ns = self.body.profile.land_contact_s * SECOND
         if now_ns - self._contact_since_ns >= contact_ns or not self.armed:
             self.landed, self.landed_ns = True, now_ns
-            self.body.flying = False
+            self.body.motors.flying = False
             self.touched_down()
 
     def touched_down(self) -> None:

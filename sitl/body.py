@@ -33,99 +33,65 @@ class Radio(NamedTuple):
     reboot: Callable[[int], None]
 
 
-class Body:
-    """One vehicle as its autopilot has it.
+class Senses:
+    """What a vehicle's sensors tell, and what its estimator makes of them."""
 
-    Args:
-        state: of all vehicles.
-        index: which of them.
-        radio: what it sends with.
-        streamed: types that a vehicle of its kind can stream.
-
-    Attributes:
-        index: row of the vehicle in the world.
-        profile: how it flies.
-        signing: its signatures.
-        geodesy: between the world's frame and the globe.
-        home_alt_m: height of the world's origin above the sea.
-    """
-
-    def __init__(self, state: State, index: int, radio: Radio, streamed: Container[str]) -> None:
-        self._state, self.index, self._radio, self._streamed = state, index, radio, streamed
-        dynamics = state.dynamics
+    def __init__(self, state: State, index: int) -> None:
+        self._index = index
         self._known, self._broken, self._estimator = state.known, state.broken, state.estimator
-        self._motion, self._commands = dynamics.motion, dynamics.commands
-        self._health, self._ground = dynamics.health, dynamics.ground
-        self.profile: Profile = state.profiles[index]
-        self.signing: VehicleSigning = state.signing[index]
-        self.geodesy: Geodesy = state.geodesy
-        self.home_alt_m = state.config.home_alt_m
-
-    # -- time ---------------------------------------------------------------------------------------------------
-
-    @property
-    def now_ns(self) -> int:
-        """The world's clock."""
-        return self._state.now_ns
-
-    @property
-    def own_time_ns(self) -> int:
-        """Time since power-up as the vehicle counts it."""
-        return int(self._state.own_time_ns()[self.index])
-
-    # -- estimates ----------------------------------------------------------------------------------------------
+        self._motion, self._ground = state.dynamics.motion, state.dynamics.ground
 
     @property
     def pos_enu_m(self) -> Place:
         """Believed position in the world's frame."""
-        i = self.index
+        i = self._index
         x, y, z = (self._motion.pos_enu_m[:, i] + self._estimator.pos_error[:, i]).tolist()
         return x, y, z
 
     @property
     def yaw_enu_rad(self) -> float:
         """Heading from east counter-clockwise."""
-        return float(self._motion.yaw_enu_rad[self.index])
+        return float(self._motion.yaw_enu_rad[self._index])
 
     @property
     def has_gps(self) -> bool:
         """Whether there is a GPS receiver."""
-        return bool(self._known.has_gps[self.index])
+        return bool(self._known.has_gps[self._index])
 
     @property
     def has_position(self) -> bool:
         """Whether the estimator has a position."""
-        return bool(self._known.has_position[self.index])
+        return bool(self._known.has_position[self._index])
 
     @has_position.setter
     def has_position(self, found: bool) -> None:
-        self._known.has_position[self.index] = found
+        self._known.has_position[self._index] = found
 
     @property
     def position_good(self) -> bool:
         """Whether it has one that can be flown by."""
-        return self.has_position and not self._broken.invalid[self.index]
+        return self.has_position and not self._broken.invalid[self._index]
 
     @property
     def has_origin(self) -> bool:
         """Whether the estimator has an origin."""
-        return bool(self._known.has_origin[self.index])
+        return bool(self._known.has_origin[self._index])
 
     @property
     def origin_enu_m(self) -> Place:
         """Where LOCAL_POSITION_NED begins."""
-        x, y, z = self._known.origin_enu_m[:, self.index].tolist()
+        x, y, z = self._known.origin_enu_m[:, self._index].tolist()
         return x, y, z
 
     @property
     def home_enu_m(self) -> Place:
         """Home."""
-        x, y, z = self._known.home_enu_m[:, self.index].tolist()
+        x, y, z = self._known.home_enu_m[:, self._index].tolist()
         return x, y, z
 
     def set_origin(self, place_enu_m: Sequence[float] | Array | None = None) -> None:
         """Gives the estimator its origin; None takes the place where it stands, as well as GPS knows it."""
-        i = self.index
+        i = self._index
         self._known.has_origin[i] = True
         if place_enu_m is None:
             place_enu_m = self._motion.pos_enu_m[:, i] + self._estimator.origin_error_enu_m[:, i]
@@ -133,54 +99,62 @@ class Body:
 
     def set_home(self, place_enu_m: Sequence[float] | Array) -> None:
         """Sets home."""
-        self._known.home_enu_m[:, self.index] = place_enu_m
+        self._known.home_enu_m[:, self._index] = place_enu_m
 
     def correct(self, by_enu_m: Sequence[float]) -> None:
         """Moves the believed position."""
         estimator = self._estimator
         for axis in range(3):
-            estimator.offset_enu_m[axis, self.index] += by_enu_m[axis]
+            estimator.offset_enu_m[axis, self._index] += by_enu_m[axis]
         estimator.refresh()
-
-    # -- ground and motors --------------------------------------------------------------------------------------
 
     @property
     def on_ground(self) -> bool:
         """Whether it touches the ground."""
-        return bool(self._motion.on_ground[self.index])
+        return bool(self._motion.on_ground[self._index])
 
     @property
     def ground_m(self) -> float:
         """Height of the ground beneath it, in the world's frame."""
-        return float(self._ground.height_m[self.index])
+        return float(self._ground.height_m[self._index])
 
     @property
     def above_ground_m(self) -> float:
         """Height above it."""
-        return float(self._motion.pos_enu_m[2, self.index]) - self.ground_m
+        return float(self._motion.pos_enu_m[2, self._index]) - self.ground_m
+
+
+class Motors:
+    """What a vehicle flies with, and what it is told to fly."""
+
+    def __init__(self, state: State, index: int) -> None:
+        self._index = index
+        self._motion, self._commands = state.dynamics.motion, state.dynamics.commands
+        self._health, self._broken = state.dynamics.health, state.broken
+        self._profile = state.profiles[index]
 
     @property
     def thrust_m_s2(self) -> float:
         """Thrust over mass."""
-        return float(self._motion.thrust_m_s2[self.index])
+        return float(self._motion.thrust_m_s2[self._index])
 
     @property
     def flying(self) -> bool:
         """Whether the motors lift."""
-        return bool(self._commands.flying[self.index])
+        return bool(self._commands.flying[self._index])
 
     @flying.setter
     def flying(self, lift: bool) -> None:
-        self._commands.flying[self.index] = lift
+        self._commands.flying[self._index] = lift
 
-    def stop_motors(self) -> None:
+    def stop(self) -> None:
         """Ends their thrust at once."""
         self.flying = False
-        self._motion.thrust_m_s2[self.index] *= 0.0
+        self._motion.thrust_m_s2[self._index] *= 0.0
 
-    def power_motors(self, powered: bool) -> None:
+    def power(self, powered: bool) -> None:
         """Gives the motors what they can take, or nothing."""
-        self._health.thrust_share[self.index] = self._broken.motor_share[self.index] if powered else 0.0
+        self._health.thrust_share[self._index] = self._broken.motor_share[self._index] if powered else 0.0
 
     def command(
         self,
@@ -190,7 +164,7 @@ class Body:
         yaw_rate_rad_s: float | None = None,
     ) -> None:
         """Tells it what to fly; on each axis a position, a velocity, or both (then it is feed-forward)."""
-        commands, i = self._commands, self.index
+        commands, i = self._commands, self._index
         for axis in range(3):
             pos, vel = pos_enu_m[axis], vel_enu_m_s[axis]
             commands.vel_sp_enu_m_s[axis, i] = 0.0 if vel is None else vel
@@ -214,29 +188,34 @@ class Body:
 
     def limit_speed(self, xy_m_s: float | None = None, up: float | None = None, down: float | None = None) -> None:
         """Sets the limits of the position loop; None takes the profile's."""
-        profile, limits = self.profile, self._commands.speed_limit_m_s
-        limits[0, self.index] = min(xy_m_s or math.inf, profile.speed_xy_max_m_s)
-        limits[1, self.index] = min(up or math.inf, profile.speed_up_max_m_s)
-        limits[2, self.index] = min(down or math.inf, profile.speed_down_max_m_s)
+        profile, limits = self._profile, self._commands.speed_limit_m_s
+        limits[0, self._index] = min(xy_m_s or math.inf, profile.speed_xy_max_m_s)
+        limits[1, self._index] = min(up or math.inf, profile.speed_up_max_m_s)
+        limits[2, self._index] = min(down or math.inf, profile.speed_down_max_m_s)
 
-    # -- link ---------------------------------------------------------------------------------------------------
+
+class Link:
+    """What a vehicle has to the ground: single frames, and streams that the radio makes for all of them at once."""
+
+    def __init__(self, state: State, index: int, radio: Radio, streamed: Container[str]) -> None:
+        self._state, self._index, self._radio, self._streamed = state, index, radio, streamed
 
     @property
     def talking(self) -> bool:
         """Whether it has sent its first bytes."""
-        return bool(self._state.talking[self.index])
+        return bool(self._state.talking[self._index])
 
     @talking.setter
     def talking(self, begun: bool) -> None:
-        self._state.talking[self.index] = begun
+        self._state.talking[self._index] = begun
 
     def emit(self, frame: bytes) -> None:
         """Sends a frame, once it talks."""
-        self._radio.emit(self.index, frame)
+        self._radio.emit(self._index, frame)
 
     def send_now(self, name: str) -> bool:
         """Sends one message of a streamed type out of turn. Returns whether it could be made."""
-        return self._radio.send_now(self.index, name)
+        return self._radio.send_now(self._index, name)
 
     def can_stream(self, name: str) -> bool:
         """Whether a vehicle of its kind knows how to stream a type."""
@@ -244,15 +223,55 @@ class Body:
 
     def set_rates(self, rates_hz: Mapping[str, float]) -> None:
         """Sets all streams: those that are not named are off."""
-        self._state.streams.set_rates(self.index, rates_hz, self.now_ns)
+        self._state.streams.set_rates(self._index, rates_hz, self._state.now_ns)
 
     def set_interval(self, name: str, interval_ns: int) -> bool:
         """Sets one stream, 0 for off. Returns False for a type that is never streamed."""
-        return self.can_stream(name) and self._state.streams.set_interval(self.index, name, interval_ns, self.now_ns)
+        return self.can_stream(name) and self._state.streams.set_interval(
+            self._index, name, interval_ns, self._state.now_ns
+        )
 
     def interval(self, name: str) -> int | None:
         """Interval of a stream in ns, 0 for off, None for a type that is never streamed."""
-        return self._state.streams.interval(self.index, name) if self.can_stream(name) else None
+        return self._state.streams.interval(self._index, name) if self.can_stream(name) else None
+
+
+class Body:
+    """One vehicle as its autopilot has it.
+
+    Args:
+        state: of all vehicles.
+        index: which of them.
+        radio: what it sends with.
+        streamed: types that a vehicle of its kind can stream.
+
+    Attributes:
+        index: row of the vehicle in the world.
+        senses, motors, link: what it has.
+        profile: how it flies.
+        signing: its signatures.
+        geodesy: between the world's frame and the globe.
+        home_alt_m: height of the world's origin above the sea.
+    """
+
+    def __init__(self, state: State, index: int, radio: Radio, streamed: Container[str]) -> None:
+        self._state, self.index, self._radio = state, index, radio
+        self.senses, self.motors = Senses(state, index), Motors(state, index)
+        self.link = Link(state, index, radio, streamed)
+        self.profile: Profile = state.profiles[index]
+        self.signing: VehicleSigning = state.signing[index]
+        self.geodesy: Geodesy = state.geodesy
+        self.home_alt_m = state.config.home_alt_m
+
+    @property
+    def now_ns(self) -> int:
+        """The world's clock."""
+        return self._state.now_ns
+
+    @property
+    def own_time_ns(self) -> int:
+        """Time since power-up as the vehicle counts it."""
+        return int(self._state.own_time_ns()[self.index])
 
     def reboot(self) -> None:
         """Powers itself off and on again."""

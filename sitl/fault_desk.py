@@ -126,7 +126,7 @@ class FaultDesk:
         on = bool(faults)
         if kind == "position_frozen":
             if on and not state.broken.frozen[i]:
-                state.broken.frozen_pos_enu_m[:, i] = pilot.body.pos_enu_m
+                state.broken.frozen_pos_enu_m[:, i] = pilot.body.senses.pos_enu_m
             state.broken.frozen[i] = on
         elif kind == "position_nan":
             state.broken.invalid[i] = on

@@ -50,7 +50,7 @@ def _power_status(_state: State, _view: View, vehicles: IntArray) -> StructuredA
 @message(HARDWARE_MESSAGES)
 def _mission_current(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("MISSION_CURRENT", vehicles)
-    out["seq"] = [state.pilots[i].mission_seq for i in vehicles]
+    out["seq"] = [state.pilots[i].mission.seq for i in vehicles]
     out["total"] = [len(state.pilots[i].mission) for i in vehicles]
     return out
 

@@ -6,11 +6,13 @@ Refuses to know modes: what an autopilot does when a mission asks to land, to re
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 from sitl.body import Body
 from sitl.frames import is_place
+from sitl.mission_store import MissionStore
 from sitl.setpoints import NOTHING
+from sitl.voice import Voice
 from sitl.wire import Fields
 
 WAYPOINT, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 19, 20, 21, 22
@@ -24,12 +26,9 @@ class Flown(Protocol):
     """An autopilot that flies missions."""
 
     body: Body
-    mission: list[Fields]
-    mission_seq: int
+    voice: Voice
+    mission: MissionStore
     first_item_is_home: bool
-
-    def send(self, name: str, **fields: Any) -> None:
-        """Sends one message."""
 
     def mission_over(self) -> None:
         """Called every tick after the last item."""
@@ -42,7 +41,7 @@ class Flown(Protocol):
 
 
 class MissionFlight:
-    """Progress of one vehicle through its mission; the item under way is ``pilot.mission_seq``."""
+    """Progress of one vehicle through its mission; the item under way is ``pilot.mission.seq``."""
 
     def __init__(self, pilot: Flown) -> None:
         self._pilot = pilot
@@ -53,16 +52,16 @@ class MissionFlight:
     def act(self, entering: bool) -> None:
         """Moves on; called every tick while the mission mode acts."""
         pilot = self._pilot
-        if entering or pilot.mission_seq != self._seq:
-            self._target, self._seq = None, pilot.mission_seq
+        if entering or pilot.mission.seq != self._seq:
+            self._target, self._seq = None, pilot.mission.seq
         if entering:
-            pilot.body.limit_speed()
-        if pilot.mission_seq >= len(pilot.mission):
+            pilot.body.motors.limit_speed()
+        if pilot.mission.seq >= len(pilot.mission):
             pilot.mission_over()
             return
-        item = pilot.mission[pilot.mission_seq]
+        item = pilot.mission.items[pilot.mission.seq]
         command = int(item["command"])
-        if pilot.mission_seq == 0 and pilot.first_item_is_home:
+        if pilot.mission.seq == 0 and pilot.first_item_is_home:
             self._next()
         elif command in (WAYPOINT, LOITER_TIME, TAKEOFF):
             self._fly(item)
@@ -78,30 +77,30 @@ class MissionFlight:
         now_ns = pilot.body.now_ns
         if self._target is None:
             self._target, self._reached_ns = self._place(item), None
-            pilot.body.command(self._target, NOTHING)
-            pilot.send("MISSION_CURRENT", seq=pilot.mission_seq, total=len(pilot.mission))
-        if math.dist(self._target, pilot.body.pos_enu_m) > _REACHED_M:
+            pilot.body.motors.command(self._target, NOTHING)
+            pilot.voice.send("MISSION_CURRENT", seq=pilot.mission.seq, total=len(pilot.mission))
+        if math.dist(self._target, pilot.body.senses.pos_enu_m) > _REACHED_M:
             return
         if self._reached_ns is None:
             self._reached_ns = now_ns
-            pilot.send("MISSION_ITEM_REACHED", seq=pilot.mission_seq)
+            pilot.voice.send("MISSION_ITEM_REACHED", seq=pilot.mission.seq)
         wait_s = item["param1"] if item["command"] in (WAYPOINT, LOITER_TIME) else 0.0
         if now_ns - self._reached_ns >= (wait_s if math.isfinite(wait_s) else 0.0) * 1e9:
             self._next()
 
     def _next(self) -> None:
-        self._pilot.mission_seq += 1
+        self._pilot.mission.seq += 1
         self._target = None
 
     def _place(self, item: Fields) -> Point:
         """Where an item is, ENU; without a place of its own it is above or below here."""
         pilot = self._pilot
         body = pilot.body
-        x, y, _ = body.pos_enu_m
+        x, y, _ = body.senses.pos_enu_m
         lat, lon = item["x"] * 1e-7, item["y"] * 1e-7
         if is_place(lat, lon, 0.0) and (item["x"], item["y"]) != (0, 0):
             x, y, _ = body.geodesy.enu_from_geodetic(lat, lon, body.home_alt_m).tolist()
         height = item["z"] if is_place(0.0, 0.0, item["z"]) else 0.0
         if item["frame"] in _GLOBAL_AMSL:
             return x, y, height - body.home_alt_m
-        return x, y, body.home_enu_m[2] + height
+        return x, y, body.senses.home_enu_m[2] + height

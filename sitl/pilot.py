@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from groundstation.mavlink.codec import Encoder
 from sitl.battery import Battery
 from sitl.config import Boot
-from sitl.wire import Fields
+from sitl.mission_store import MissionStore
+from sitl.voice import Voice
 
 
 class Pilot(Protocol):
@@ -15,20 +15,19 @@ class Pilot(Protocol):
 
     Attributes:
         mav_autopilot: MAV_AUTOPILOT of the heartbeat.
-        encoder: makes its frames and numbers them.
+        voice: makes its frames and numbers them.
         boot: how it starts.
         landed: as its land detector says.
         battery: its battery.
-        mission, mission_seq: stored items, and which is under way.
+        mission: stored items, and which is under way.
     """
 
     mav_autopilot: int
-    encoder: Encoder
+    voice: Voice
     boot: Boot
     landed: bool
     battery: Battery
-    mission: list[Fields]
-    mission_seq: int
+    mission: MissionStore
 
     @property
     def age_ns(self) -> int:

@@ -84,14 +84,14 @@ class Transmitter:
         if name in state.broken.muted:
             able &= ~state.broken.muted[name][vehicles]
         if message_id(name) > V1_LAST_ID:
-            able &= np.array([state.pilots[i].encoder.version == 2 for i in vehicles])
+            able &= np.array([state.pilots[i].voice.encoder.version == 2 for i in vehicles])
         if not able.all():
             vehicles = vehicles[able]
         if not len(vehicles):
             return 0
         if self._view is None:
             self._view = View(state)
-        encoders = [state.pilots[i].encoder for i in vehicles]
+        encoders = [state.pilots[i].voice.encoder for i in vehicles]
         rows = message.make(state, self._view, vehicles)
         for i, frame in zip(vehicles.tolist(), encode_batch(name, rows, encoders), strict=True):
             self._pending.setdefault(i, []).append(frame)

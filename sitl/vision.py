@@ -14,7 +14,7 @@ from typing import Protocol
 from groundstation.mavlink.codec import Frame
 from sitl.body import Body
 from sitl.config import SECOND, Boot
-from sitl.protocol import MSG_ATT_POS_MOCAP, MSG_ODOMETRY, MSG_VICON_POSITION_ESTIMATE, MSG_VISION_POSITION_ESTIMATE
+from sitl.mavlink_ids import MSG_ATT_POS_MOCAP, MSG_ODOMETRY, MSG_VICON_POSITION_ESTIMATE, MSG_VISION_POSITION_ESTIMATE
 from sitl.wire import Fields
 
 _WINDOW_NS = SECOND // 2
@@ -83,12 +83,12 @@ class Vision:
         self._north_east_down = place
         self._arrivals.append(pilot.body.now_ns)
         body = pilot.body
-        if body.has_position and not body.has_gps:
+        if body.senses.has_position and not body.senses.has_gps:
             north, east, down = place
-            origin = body.origin_enu_m
-            believed = body.pos_enu_m
+            origin = body.senses.origin_enu_m
+            believed = body.senses.pos_enu_m
             seen = (origin[0] + east, origin[1] + north, origin[2] - down)
-            body.correct([_FOLLOW * (seen[axis] - believed[axis]) for axis in range(3)])
+            body.senses.correct([_FOLLOW * (seen[axis] - believed[axis]) for axis in range(3)])
 
     def tick(self, now_ns: int) -> None:
         """Finds and loses the position."""
@@ -96,16 +96,16 @@ class Vision:
         body = pilot.body
         while self._arrivals and now_ns - self._arrivals[0] > _WINDOW_NS and len(self._arrivals) > 1:
             self._arrivals.pop(0)
-        if body.has_gps:
+        if body.senses.has_gps:
             return
-        if body.has_position:
+        if body.senses.has_position:
             if now_ns - self._arrivals[-1] > _LOST_NS:
-                body.has_position = False
+                body.senses.has_position = False
                 self._arrivals.clear()
             return
         settled = pilot.age_ns >= pilot.boot.position_ns and pilot.vision_has_origin()
         if settled and len(self._arrivals) > _SAMPLES_MIN:
             north, east, down = self._north_east_down
-            x, y, z = body.pos_enu_m
-            body.set_origin((x - east, y - north, z + down))
+            x, y, z = body.senses.pos_enu_m
+            body.senses.set_origin((x - east, y - north, z + down))
             pilot.position_found()

@@ -202,7 +202,8 @@ class World:
         pilot.disarm()
         self.state.power_off(index)
         fresh = self._power_up(index)
-        fresh.params, fresh.mission, fresh.battery = pilot.params, pilot.mission, pilot.battery
+        fresh.params, fresh.battery = pilot.params, pilot.battery
+        fresh.mission.items = pilot.mission.items
         fresh.deny_arming, fresh.ignore_commands = pilot.deny_arming, pilot.ignore_commands
         fresh.landed = bool(self.dynamics.motion.on_ground[index])
         self.autopilots[index] = fresh

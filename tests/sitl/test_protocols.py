@@ -150,7 +150,7 @@ def test_mission_upload_survives_a_bad_link() -> None:
             ground.send("MISSION_ITEM_INT", target_system=1, target_component=1, seq=request.seq, **items[request.seq])
         answered = len(asked)
         ground.run(0.04)
-    assert [item["command"] for item in ground.world.autopilots[0].mission] == [item["command"] for item in items]
+    assert [item["command"] for item in ground.world.autopilots[0].mission.items] == [item["command"] for item in items]
 
 
 def test_mission_clear_and_empty() -> None:
@@ -272,7 +272,8 @@ def test_a_mission_item_that_is_nowhere_is_refused_by_name(x: float, y: float, r
     ground.run(0.04)
     assert ground.last("MISSION_ACK").type == refusal
     assert ground.world.frame_errors == [0]
-    assert [item["command"] for item in ground.world.autopilots[0].mission] == [22]  # the one before is still there
+    # the one before is still there
+    assert [item["command"] for item in ground.world.autopilots[0].mission.items] == [22]
     for msg in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
         ground.send(msg, target_system=1, target_component=1, seq=0)
     ground.run(0.04)
@@ -348,11 +349,11 @@ def test_fences_and_rally_points_are_refused_and_leave_the_flight_alone(kind: in
     ground.send("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=0, mission_type=kind)
     ground.run(0.04)
     assert (ground.last("MISSION_ACK").type, ground.last("MISSION_ACK").mission_type) == (13, kind)
-    assert len(ground.world.autopilots[0].mission) == 2
+    assert len(ground.world.autopilots[0].mission.items) == 2
     ground.send("MISSION_CLEAR_ALL", target_system=1, target_component=1, mission_type=255)
     ground.run(0.04)
     assert (ground.last("MISSION_ACK").type, ground.last("MISSION_ACK").mission_type) == (0, 255)
-    assert ground.world.autopilots[0].mission == []
+    assert ground.world.autopilots[0].mission.items == []
 
 
 def test_another_mission_item_can_be_made_the_current_one() -> None:
@@ -363,11 +364,11 @@ def test_another_mission_item_can_be_made_the_current_one() -> None:
     assert ground.ask(224, -1) == 2
     assert ground.ask(400, 1) == 0
     assert ground.ask(300) == 0
-    ground.run_until(lambda: ground.world.autopilots[0].mission_seq == 1, 20.0)
+    ground.run_until(lambda: ground.world.autopilots[0].mission.seq == 1, 20.0)
     ground.run(2.0)
     assert ground.ask(224, 2) == 0
     assert ground.last("MISSION_CURRENT").seq == 2
-    ground.run_until(lambda: ground.world.autopilots[0].mission_seq == 3, 20.0)
+    ground.run_until(lambda: ground.world.autopilots[0].mission.seq == 3, 20.0)
     assert [m.seq for _, m in ground.all("MISSION_ITEM_REACHED")] == [0, 2]
     ground.send("MISSION_SET_CURRENT", target_system=1, target_component=1, seq=1)
     ground.run(0.04)

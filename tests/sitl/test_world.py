@@ -214,7 +214,7 @@ def test_no_frame_of_any_type_breaks_it(autopilot: str, seed: int, flying: bool)
     ground.run(2.2)
     if flying:
         pilot.arm()
-        pilot.body.flying = True
+        pilot.body.motors.flying = True
         ground.world.dynamics.motion.pos_enu_m[2, 0] = 3.0
         ground.run(0.1)
     for _ in range(60):

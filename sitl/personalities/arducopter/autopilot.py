@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from groundstation.mavlink.codec import Frame, message_name
+from groundstation.mavlink.codec import Frame
 from sitl.autopilot import IN_AIR, LANDED, LANDING, TAKING_OFF, Autopilot
 from sitl.body import Body
 from sitl.config import SECOND, VehicleConfig
 from sitl.frames import is_place
-from sitl.outfit import Outfit
-from sitl.personalities.arducopter.setpoints import read_ardupilot
-from sitl.personalities.arducopter.streams import DATA_STREAMS
-from sitl.protocol import (
+from sitl.mavlink_ids import (
     ACCEPTED,
     DENIED,
     FAILED,
@@ -30,6 +27,9 @@ from sitl.protocol import (
     MSG_VICON_POSITION_ESTIMATE,
     MSG_VISION_POSITION_ESTIMATE,
 )
+from sitl.outfit import Outfit
+from sitl.personalities.arducopter.setpoints import read_ardupilot
+from sitl.personalities.arducopter.streams import DATA_STREAMS
 from sitl.setpoints import NOTHING, Setpoint
 from sitl.vision import LOCAL_FRD, Vision
 from sitl.wire import Fields, whole
@@ -77,6 +77,7 @@ class ArduCopter(Autopilot):
     mav_autopilot = 3
     param_bytewise = False
     commands_to_system_0 = True
+    accepts_unready = True
     version_fields: ClassVar[Fields] = {
         "capabilities": 0x2 | 0x4 | 0x8 | 0x80 | 0x100 | 0x800 | 0x1000 | 0x2000 | 0x20000,
         "flight_sw_version": 0x04070000,
@@ -151,7 +152,7 @@ class ArduCopter(Autopilot):
 
     def sensor_bits(self) -> tuple[int, int, int]:
         """SYS_STATUS sensors: present, enabled, healthy."""
-        known = self.body.has_origin
+        known = self.body.senses.has_origin
         common = (_HOLDS if self.mode in _GUIDED_FLAG else 0) | (_AHRS if known else 0)
         health = _WELL | common | (_PREARM if self.armed or self.arm_refusal() is None else 0)
         if known and not self.position_good:
@@ -163,26 +164,21 @@ class ArduCopter(Autopilot):
         """Nanoseconds of this start for a second of the real one's."""
         return self.boot.origin_ns / _REAL_ORIGIN_S
 
-    def _request(self, msgid: int, frame: Frame) -> int:
-        """What it knows and cannot tell yet is accepted, and not sent."""
-        result = super()._request(msgid, frame)
-        return ACCEPTED if self.body.can_stream(message_name(msgid) or "") else result
-
     def started(self) -> None:
         """Sends what comes out of a freshly booted board: bytes that are no MAVLink, then its banner."""
-        self.body.emit(b"\r\n\r\nInit ArduCopter V4.7.0-dev\r\n\r\nFree RAM: 131072\r\n")
+        self.body.link.emit(b"\r\n\r\nInit ArduCopter V4.7.0-dev\r\n\r\nFree RAM: 131072\r\n")
         self.banner()
 
     def banner(self) -> None:
         """Says who it is."""
-        self.text(INFO, "ArduCopter V4.7.0-dev (gs sitl)")
-        self.text(INFO, "Frame: QUAD/X")
+        self.voice.text(INFO, "ArduCopter V4.7.0-dev (gs sitl)")
+        self.voice.text(INFO, "Frame: QUAD/X")
 
     def position_found(self) -> None:
         """Tells about the sensors in use, and where home is."""
         super().position_found()
-        self.text(INFO, "EKF3 IMU0 is using GPS")
-        self.text(INFO, "EKF3 IMU1 is using GPS")
+        self.voice.text(INFO, "EKF3 IMU0 is using GPS")
+        self.voice.text(INFO, "EKF3 IMU1 is using GPS")
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -210,13 +206,13 @@ class ArduCopter(Autopilot):
             return ACCEPTED
         why = None if forced else self.arm_refusal()
         if why is not None:
-            self.text(CRITICAL, why)
+            self.voice.text(CRITICAL, why)
             return FAILED
         self.arm()
-        self.body.send_now("HOME_POSITION")
+        self.body.link.send_now("HOME_POSITION")
         self.taking_off_to = None
         self._entered = None
-        self.text(INFO, "Arming motors")
+        self.voice.text(INFO, "Arming motors")
         return ACCEPTED
 
     def try_disarm(self, forced: bool) -> int:
@@ -231,29 +227,29 @@ class ArduCopter(Autopilot):
     def disarm(self) -> None:
         """Stops the motors and says so."""
         if self.armed:
-            self.text(INFO, "Disarming motors")
+            self.voice.text(INFO, "Disarming motors")
         super().disarm()
         self.taking_off_to = None
 
     def _prearm_command(self, _params: tuple[float, ...], _frame: Frame) -> int:
         why = self.arm_refusal()
         if why is not None:
-            self.text(CRITICAL, why)
+            self.voice.text(CRITICAL, why)
         return ACCEPTED
 
     # -- modes --------------------------------------------------------------------------------------------------
 
     def _change_mode(self, mode: int) -> int:
         if mode not in NAMES:
-            self.text(WARNING, f"No such mode {mode}")
+            self.voice.text(WARNING, f"No such mode {mode}")
             return FAILED
         if self.age_ns < self.boot.deaf_ns:
             return ACCEPTED  # seen: acknowledged in the first seconds, and never in effect
         if mode in _NEED_POSITION and not self.position_good:
-            self.text(WARNING, f"Mode change to {NAMES[mode]} failed: requires position")
+            self.voice.text(WARNING, f"Mode change to {NAMES[mode]} failed: requires position")
             return FAILED
         if mode == AUTO and not self.mission:
-            self.text(WARNING, "Mode change to AUTO failed: init failed")
+            self.voice.text(WARNING, "Mode change to AUTO failed: init failed")
             return FAILED
         if mode != self.mode:
             self._entered = None
@@ -269,7 +265,7 @@ class ArduCopter(Autopilot):
 
     def _on_set_mode(self, fields: Fields, frame: Frame) -> None:
         result = self._change_mode(fields["custom_mode"]) if fields["base_mode"] & 1 else DENIED
-        self.ack(MSG_SET_MODE, result, frame)
+        self.voice.ack(MSG_SET_MODE, result, frame)
 
     def _takeoff_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         height = params[6]
@@ -283,7 +279,7 @@ class ArduCopter(Autopilot):
     def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if not params[1] > 0:
             return FAILED
-        self.body.limit_speed(xy_m_s=params[1])
+        self.body.motors.limit_speed(xy_m_s=params[1])
         return ACCEPTED
 
     def _reposition(self, params: tuple[float, ...], _frame: Frame) -> int:
@@ -294,7 +290,7 @@ class ArduCopter(Autopilot):
             return FAILED
         x, y, z = self.body.geodesy.enu_from_geodetic(lat, lon, alt).tolist()
         self._entered, self.taking_off_to = GUIDED, None
-        self.body.limit_speed()
+        self.body.motors.limit_speed()
         self.setpoint = Setpoint(self.body.now_ns, (x, y, z), NOTHING, None, None)
         self._fly_setpoint()
         return ACCEPTED
@@ -304,8 +300,10 @@ class ArduCopter(Autopilot):
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
         if self.mode != GUIDED or self.taking_off_to is not None:
             return
-        origin = self.body.origin_enu_m
-        self.setpoint = read_ardupilot(fields, self.body.now_ns, origin, self.body.pos_enu_m, self.body.yaw_enu_rad)
+        origin = self.body.senses.origin_enu_m
+        self.setpoint = read_ardupilot(
+            fields, self.body.now_ns, origin, self.body.senses.pos_enu_m, self.body.senses.yaw_enu_rad
+        )
         if self.setpoint is None:
             self._stop()
         elif self.armed and not self.landed:
@@ -316,22 +314,22 @@ class ArduCopter(Autopilot):
         point = self.setpoint
         if point is not None:
             self._braked = False
-            self.body.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
+            self.body.motors.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
 
     def _stop(self) -> None:
         """Brakes and holds, staying in GUIDED."""
         self.setpoint = None
         if self.armed and not self.landed:
-            self.body.command(NOTHING, NOTHING)
+            self.body.motors.command(NOTHING, NOTHING)
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Takes an origin only while there is none; bad values fail without a word."""
         body = self.body
         lat, lon, alt = fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
-        if body.has_origin or not is_place(lat, lon, alt):
+        if body.senses.has_origin or not is_place(lat, lon, alt):
             return
-        body.set_origin(body.geodesy.enu_from_geodetic(lat, lon, alt))
-        body.send_now("GPS_GLOBAL_ORIGIN")
+        body.senses.set_origin(body.geodesy.enu_from_geodetic(lat, lon, alt))
+        body.link.send_now("GPS_GLOBAL_ORIGIN")
 
     def _on_data_stream(self, fields: Fields, _frame: Frame) -> None:
         """Sets a group of streams; there is no acknowledgement."""
@@ -340,7 +338,7 @@ class ArduCopter(Autopilot):
         for group, names in DATA_STREAMS.items():
             if wanted in (0, group):
                 for name in names:
-                    self.body.set_interval(name, interval_ns)
+                    self.body.link.set_interval(name, interval_ns)
 
     # -- flight -------------------------------------------------------------------------------------------------
 
@@ -356,7 +354,7 @@ class ArduCopter(Autopilot):
         point = self.setpoint
         if self.mode == GUIDED and point is not None:
             down, bottom = point.vel_enu_m_s[2], point.pos_enu_m[2]
-            here = self.body.pos_enu_m[2]
+            here = self.body.senses.pos_enu_m[2]
             return (down is not None and down < -0.05) or (bottom is not None and bottom < here - 0.05)
         return self._landing()
 
@@ -366,12 +364,12 @@ class ArduCopter(Autopilot):
 
     def update(self, now_ns: int) -> None:
         """Checks the failsafes, then lets the mode act."""
-        if not self._origin_told and self.body.has_origin:
+        if not self._origin_told and self.body.senses.has_origin:
             self._origin_told = True
-            self.text(INFO, "EKF3 IMU0 origin set")
-            self.text(INFO, "EKF3 IMU1 origin set")
+            self.voice.text(INFO, "EKF3 IMU0 origin set")
+            self.voice.text(INFO, "EKF3 IMU1 origin set")
         while self._boot_texts and self.age_ns >= self._boot_texts[0][0] * self._boot_pace:
-            self.text(INFO, self._boot_texts.pop(0)[1])
+            self.voice.text(INFO, self._boot_texts.pop(0)[1])
         if not self.armed:
             return
         self._check_failsafes(now_ns)
@@ -383,10 +381,10 @@ class ArduCopter(Autopilot):
             if delay_s > 0 and now_ns - since >= delay_s * SECOND and not self.wants_up():
                 self.disarm()
                 return
-        if self.landed and not self.body.flying:
+        if self.landed and not self.body.motors.flying:
             if not (self.wants_up() and now_ns - max(self.armed_ns + _ARMING_NS, self._asked_up_ns) >= _SPOOL_NS):
                 return
-            self.body.flying = True
+            self.body.motors.flying = True
             self._entered = None
         self._act(now_ns)
 
@@ -396,10 +394,10 @@ class ArduCopter(Autopilot):
             lost = now_ns - heard > self.params["FS_GCS_TIMEOUT"] * SECOND
             if lost and self.mode not in (RTL, LAND, BRAKE):
                 mode = _STATION_LOST.get(whole(self.params["FS_GCS_ENABLE"]), RTL)
-                self.text(WARNING, f"GCS Failsafe - {NAMES[mode]}")
+                self.voice.text(WARNING, f"GCS Failsafe - {NAMES[mode]}")
                 self._change_mode(mode)
         if not self.position_good and self.mode in _NEED_POSITION and not self.landed:
-            self.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+            self.voice.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
             self._change_mode(LAND)
         if self.battery_low() and self.mode not in (RTL, LAND) and not self.landed:
             self._change_mode(LAND if whole(self.params["BATT_FS_LOW_ACT"]) == 1 else RTL)
@@ -409,7 +407,7 @@ class ArduCopter(Autopilot):
         low = self.battery.left * self.battery.capacity_mah < self.params["BATT_LOW_MAH"]
         if low and not self._battery_told:
             self._battery_told = True
-            self.text(WARNING, "Battery 1 is low")
+            self.voice.text(WARNING, "Battery 1 is low")
         return low and whole(self.params["BATT_FS_LOW_ACT"]) > 0
 
     def _act(self, now_ns: int) -> None:
@@ -424,54 +422,54 @@ class ArduCopter(Autopilot):
         elif self.mode == AUTO:
             self.flight.act(entering)
         elif entering:
-            self._hold = self.body.pos_enu_m
-            self.body.limit_speed()
-            self.body.command(self._hold, NOTHING)
+            self._hold = self.body.senses.pos_enu_m
+            self.body.motors.limit_speed()
+            self.body.motors.command(self._hold, NOTHING)
 
     def _act_guided(self, entering: bool, now_ns: int) -> None:
-        x, y, z = self.body.pos_enu_m
+        x, y, z = self.body.senses.pos_enu_m
         if self.taking_off_to is not None:
-            top = self.body.home_enu_m[2] + self.taking_off_to
+            top = self.body.senses.home_enu_m[2] + self.taking_off_to
             if entering:
                 self._hold = (x, y, top)
-                self.body.limit_speed(up=self.params["WPNAV_SPEED_UP"] / 100.0)
-                self.body.command(self._hold, NOTHING)
+                self.body.motors.limit_speed(up=self.params["WPNAV_SPEED_UP"] / 100.0)
+                self.body.motors.command(self._hold, NOTHING)
             if not self.landed and z > top - 0.1:
                 self.taking_off_to = None
             return
         if entering:
             self._hold = (x, y, z)
-            self.body.limit_speed()
+            self.body.motors.limit_speed()
             if self.setpoint is None:
-                self.body.command(self._hold, NOTHING)
+                self.body.motors.command(self._hold, NOTHING)
         point = self.setpoint
         if point is None or point.pos_enu_m[0] is not None or self._braked:
             return
         if now_ns - point.t_ns > self.params["GUID_TIMEOUT"] * SECOND:
             self._braked = True  # the last velocity has been kept until now; brakes and hovers, no word of it
-            self.body.command(NOTHING, NOTHING)
+            self.body.motors.command(NOTHING, NOTHING)
 
     def _act_land(self, entering: bool) -> None:
-        x, y, z = self.body.pos_enu_m
+        x, y, z = self.body.senses.pos_enu_m
         if entering:
             self._hold = (x, y, z)
-            self.body.limit_speed()
-        height = z - self.body.home_enu_m[2]
+            self.body.motors.limit_speed()
+        height = z - self.body.senses.home_enu_m[2]
         fast = self.params["LAND_SPEED_HIGH"] or self.params["WPNAV_SPEED_DN"]
         speed = (fast if height > self.params["LAND_ALT_LOW"] / 100.0 else self.params["LAND_SPEED"]) / 100.0
         speed = min(speed, self.body.profile.speed_down_max_m_s)
-        self.body.command((self._hold[0], self._hold[1], None), (None, None, -speed))
+        self.body.motors.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _act_rtl(self, entering: bool) -> None:
-        x, y, z = self.body.pos_enu_m
-        home = self.body.home_enu_m
+        x, y, z = self.body.senses.pos_enu_m
+        home = self.body.senses.home_enu_m
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
             climbs = far > 1.0 or self.params["RTL_CONE_SLOPE"] == 0.0
             top = max(z, home[2] + self.params["RTL_ALT"] / 100.0) if climbs else z
             self._hold = (x, y, top)
-            self.body.limit_speed()
+            self.body.motors.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage, self._hold = 1, (home[0], home[1], self._hold[2])
         if self._rtl_stage == 1 and far < 0.5:
@@ -481,7 +479,7 @@ class ArduCopter(Autopilot):
         if self._rtl_stage == 2:
             self._act_land(False)
         else:
-            self.body.command(self._hold, NOTHING)
+            self.body.motors.command(self._hold, NOTHING)
 
     def vision_enabled(self) -> bool:
         """VISO_TYPE is set and the estimator's first source is the external one."""
@@ -489,7 +487,7 @@ class ArduCopter(Autopilot):
 
     def vision_has_origin(self) -> bool:
         """The origin has to be set from outside first."""
-        return self.body.has_origin
+        return self.body.senses.has_origin
 
     first_item_is_home = True
 
@@ -500,9 +498,6 @@ class ArduCopter(Autopilot):
     def mission_returns(self) -> None:
         """Returns and lands."""
         self._change_mode(RTL)
-
-    def unknown_param(self, name: str) -> None:
-        """ArduPilot says nothing."""
 
     def _on_heartbeat(self, fields: Fields, frame: Frame) -> None:
         """Only the ground station of MAV_GCS_SYSID counts."""

@@ -14,9 +14,7 @@ from sitl.autopilot import IN_AIR, LANDED, LANDING, TAKING_OFF, Autopilot
 from sitl.body import Body
 from sitl.config import SECOND, VehicleConfig
 from sitl.frames import is_place
-from sitl.outfit import Outfit
-from sitl.personalities.px4.setpoints import read_px4
-from sitl.protocol import (
+from sitl.mavlink_ids import (
     ACCEPTED,
     DENIED,
     MSG_ODOMETRY,
@@ -26,6 +24,8 @@ from sitl.protocol import (
     MSG_VISION_POSITION_ESTIMATE,
     TEMPORARILY_REJECTED,
 )
+from sitl.outfit import Outfit
+from sitl.personalities.px4.setpoints import read_px4
 from sitl.setpoints import NOTHING
 from sitl.vision import LOCAL_FRD, LOCAL_NED, Vision
 from sitl.wire import Fields, whole
@@ -192,13 +192,13 @@ class Px4(Autopilot):
         why = None if forced else self.arm_refusal()
         if why is not None:
             if why:
-                self.text(CRITICAL, why + "\t")
-            self.text(CRITICAL, "Arming denied: Resolve system health failures first\t")
+                self.voice.text(CRITICAL, why + "\t")
+            self.voice.text(CRITICAL, "Arming denied: Resolve system health failures first\t")
             return TEMPORARILY_REJECTED
         self.arm()
         self.failsafe = None
         self._entered = None
-        self.text(INFO, "Armed by external command\t")
+        self.voice.text(INFO, "Armed by external command\t")
         return ACCEPTED
 
     def try_disarm(self, forced: bool) -> int:
@@ -206,10 +206,10 @@ class Px4(Autopilot):
         if not self.armed:
             return ACCEPTED
         if not forced and not self.landed:
-            self.text(CRITICAL, "Disarming denied: not landed\t")
+            self.voice.text(CRITICAL, "Disarming denied: not landed\t")
             return TEMPORARILY_REJECTED
         self.disarm()
-        self.text(INFO, "Disarmed by external command\t")
+        self.voice.text(INFO, "Disarmed by external command\t")
         return ACCEPTED
 
     def disarm(self) -> None:
@@ -231,7 +231,7 @@ class Px4(Autopilot):
         flying = self.armed and not self.landed
         if flying and ((mode == OFFBOARD and not self.setpoint_alive()) or (mode == MISSION and not self.mission)):
             name = _NAMES[mode]
-            self.text(CRITICAL, f"Switching to mode '{name}' is currently not possible\t")
+            self.voice.text(CRITICAL, f"Switching to mode '{name}' is currently not possible\t")
             return TEMPORARILY_REJECTED
         if flying and mode in _NEED_POSITION and not self.has_position:
             return TEMPORARILY_REJECTED
@@ -257,16 +257,16 @@ class Px4(Autopilot):
     def _takeoff_target(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> tuple[float, float, float]:
         """Where a takeoff ends, ENU; heights below MIS_TAKEOFF_ALT are raised to it, as PX4 does."""
         body = self.body
-        x, y, z = self.body.pos_enu_m
-        home_z = body.home_enu_m[2]
+        x, y, z = self.body.senses.pos_enu_m
+        home_z = body.senses.home_enu_m[2]
         lowest = (z if self.landed else home_z) + self.params["MIS_TAKEOFF_ALT"]
         if not abs(alt_amsl_m) <= 100_000.0:  # NaN, most of all: "as usual"
-            self.text(INFO, f"Using default takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
+            self.voice.text(INFO, f"Using default takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
             top = lowest
         else:
             top = alt_amsl_m - body.home_alt_m
             if top < lowest - 0.1:
-                self.text(CRITICAL, f"Using minimum takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
+                self.voice.text(CRITICAL, f"Using minimum takeoff altitude: {self.params['MIS_TAKEOFF_ALT']:.2f} m\t")
             top = max(top, lowest)
         if is_place(lat_deg, lon_deg, 0.0):
             x, y, _ = body.geodesy.enu_from_geodetic(lat_deg, lon_deg, body.home_alt_m).tolist()
@@ -281,18 +281,18 @@ class Px4(Autopilot):
     def _land_command(self, _params: tuple[float, ...], _frame: Frame) -> int:
         result = self._change_mode(LAND)
         if result == ACCEPTED and self.armed and not self.landed:
-            self.text(INFO, "Landing at current position\t")
+            self.voice.text(INFO, "Landing at current position\t")
         return result
 
     def _speed_command(self, params: tuple[float, ...], _frame: Frame) -> int:
         if params[1] > 0:
-            self.body.limit_speed(xy_m_s=params[1])
+            self.body.motors.limit_speed(xy_m_s=params[1])
         return ACCEPTED
 
     def _reposition(self, params: tuple[float, ...], _frame: Frame) -> int:
         if not self.has_position or not self.armed or self.landed:
             return DENIED
-        x, y, z = self.body.pos_enu_m
+        x, y, z = self.body.senses.pos_enu_m
         lat, lon, alt = params[4:7]
         if is_place(lat, lon, 0.0):
             x, y, _ = self.body.geodesy.enu_from_geodetic(lat, lon, self.body.home_alt_m).tolist()
@@ -300,17 +300,17 @@ class Px4(Autopilot):
             z = alt - self.body.home_alt_m
         self._change_mode(LOITER)
         self._entered, self._hold = LOITER, (x, y, z)
-        self.body.command(self._hold, NOTHING)
+        self.body.motors.command(self._hold, NOTHING)
         return ACCEPTED
 
     # -- setpoints ----------------------------------------------------------------------------------------------
 
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
-        origin = self.body.origin_enu_m
+        origin = self.body.senses.origin_enu_m
         try:
-            point = read_px4(fields, self.body.now_ns, origin, self.body.yaw_enu_rad)
+            point = read_px4(fields, self.body.now_ns, origin, self.body.senses.yaw_enu_rad)
         except ValueError as error:
-            self.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED {error}\t")
+            self.voice.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED {error}\t")
             return
         if point is not None:
             self.setpoint = point
@@ -321,15 +321,15 @@ class Px4(Autopilot):
         point = self.setpoint
         if point is None:
             return
-        self.body.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
+        self.body.motors.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Moves the estimator's origin, and LOCAL_POSITION_NED with it."""
         lat, lon, alt = fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
         if not self.has_position or not is_place(lat, lon, alt):
             return
-        self.body.set_origin(self.body.geodesy.enu_from_geodetic(lat, lon, alt))
-        self.body.send_now("GPS_GLOBAL_ORIGIN")
+        self.body.senses.set_origin(self.body.geodesy.enu_from_geodetic(lat, lon, alt))
+        self.body.link.send_now("GPS_GLOBAL_ORIGIN")
 
     # -- flight -------------------------------------------------------------------------------------------------
 
@@ -341,7 +341,7 @@ class Px4(Autopilot):
             if point is None or not self.setpoint_alive():
                 return False
             up, top = point.vel_enu_m_s[2], point.pos_enu_m[2]
-            return (up is not None and up > 0.0) or (top is not None and top > self.body.pos_enu_m[2] + 0.05)
+            return (up is not None and up > 0.0) or (top is not None and top > self.body.senses.pos_enu_m[2] + 0.05)
         return mode in (TAKEOFF, MISSION)
 
     def wants_down(self) -> bool:
@@ -353,7 +353,7 @@ class Px4(Autopilot):
                 return False
             down, bottom = point.vel_enu_m_s[2], point.pos_enu_m[2]
             if bottom is not None:
-                return bottom < self.body.pos_enu_m[2] - 0.05
+                return bottom < self.body.senses.pos_enu_m[2] - 0.05
             return down is not None and down < -0.02
         return mode == LAND or self.failsafe == POSCTL or (mode == RTL and self._rtl_stage == 2)
 
@@ -371,11 +371,11 @@ class Px4(Autopilot):
         self._disarm_by_itself(now_ns)
         if not self.armed:
             return
-        if not self.taken_off and not self.body.flying:
+        if not self.taken_off and not self.body.motors.flying:
             self._ramp_up(now_ns)
             return
         if self.landed and not self.wants_up():
-            self.body.flying = False
+            self.body.motors.flying = False
             return
         self._act(now_ns)
 
@@ -389,16 +389,16 @@ class Px4(Autopilot):
         ramped = (now_ns - self._ramp_since_ns) / SECOND / max(self.params["MPC_TKO_RAMP_T"], 0.1)
         if ramped >= _TOLD_OF_RAMP and self.landed:
             self.landed = False
-            self.text(INFO, "Takeoff detected\t")
+            self.voice.text(INFO, "Takeoff detected\t")
         if ramped >= _LIFT_OF_RAMP:
-            self.body.flying = True
+            self.body.motors.flying = True
             self.taken_off = True
             self._entered = None
 
     def touched_down(self) -> None:
         """Tells it."""
         if self.armed and self.taken_off:
-            self.text(INFO, "Landing detected\t")
+            self.voice.text(INFO, "Landing detected\t")
 
     def _check_offboard(self) -> None:
         if self.intention != OFFBOARD:
@@ -418,7 +418,7 @@ class Px4(Autopilot):
         self.failsafe = mode
         self._until_setpoints = until_setpoints
         self._entered = None
-        self.text(CRITICAL, "Failsafe activated\t")
+        self.voice.text(CRITICAL, "Failsafe activated\t")
 
     def _check_estimate(self) -> None:
         """Without a position it descends where it is."""
@@ -432,7 +432,7 @@ class Px4(Autopilot):
             if left >= self.params[name] or level < self._battery_told:
                 continue
             self._battery_told = level + 1
-            self.text(severity, words)
+            self.voice.text(severity, words)
             wanted = {2: LAND, 3: LAND if level == 2 else RTL}.get(action) if level else None
             if wanted is not None and not self.landed and self.mode not in (LAND, wanted):
                 self._fail_to(wanted)
@@ -470,7 +470,7 @@ class Px4(Autopilot):
             since = self.armed_ns
         if wait > 0 and now_ns - since >= wait * SECOND:
             self.disarm()
-            self.text(INFO, words)
+            self.voice.text(INFO, words)
 
     def _act(self, now_ns: int) -> None:
         mode = self.mode
@@ -488,41 +488,41 @@ class Px4(Autopilot):
         elif mode == MISSION:
             self.flight.act(entering)
         elif entering:
-            x, y, z = self._hold = self.body.pos_enu_m
-            self.body.limit_speed()
+            x, y, z = self._hold = self.body.senses.pos_enu_m
+            self.body.motors.limit_speed()
             if self.failsafe == POSCTL:  # the throttle stick that is not there counts as pulled down
-                self.body.command((x, y, None), (None, None, -_SINK_M_S))
+                self.body.motors.command((x, y, None), (None, None, -_SINK_M_S))
             else:
-                self.body.command((x, y, z), NOTHING)
+                self.body.motors.command((x, y, z), NOTHING)
 
     def _act_takeoff(self, entering: bool) -> None:
-        target = self._takeoff_to or self.body.pos_enu_m
+        target = self._takeoff_to or self.body.senses.pos_enu_m
         if entering:
-            self.body.limit_speed(up=self.params["MPC_TKO_SPEED"])
-            self.body.command(target, NOTHING)
-        x, y, z = self.body.pos_enu_m
-        start = self.body.ground_m
+            self.body.motors.limit_speed(up=self.params["MPC_TKO_SPEED"])
+            self.body.motors.command(target, NOTHING)
+        x, y, z = self.body.senses.pos_enu_m
+        start = self.body.senses.ground_m
         if not self.landed and z > target[2] - min(0.8, 0.2 * (target[2] - start)):
             # the altitude counts as reached within NAV_MC_ALT_RAD; Hold keeps the takeoff's altitude
             self._takeoff_to = None
             self._intend(LOITER)
             self._entered = LOITER
             self._hold = (x, y, target[2])
-            self.body.command(self._hold, NOTHING)
+            self.body.motors.command(self._hold, NOTHING)
 
     def _act_land(self, entering: bool) -> None:
-        x, y, z = self.body.pos_enu_m
+        x, y, z = self.body.senses.pos_enu_m
         if entering:
             self._hold = (x, y, z)
-            self.body.limit_speed()
-        height = z - self.body.home_enu_m[2]
+            self.body.motors.limit_speed()
+        height = z - self.body.senses.home_enu_m[2]
         slow, fast = self.params["MPC_LAND_SPEED"], self.params["MPC_Z_V_AUTO_DN"]
         share = min(max((height - 5.0) / 5.0, 0.0), 1.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1
         profile = self.body.profile
         speed = min(slow + share * (fast - slow), profile.speed_down_max_m_s)
         if height < profile.crawl_below_m:
             speed = min(speed, profile.crawl_m_s)
-        self.body.command((self._hold[0], self._hold[1], None), (None, None, -speed))
+        self.body.motors.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _rtl_top(self, z: float, home_z: float, far: float) -> float:
         """Height of the way back: a cone around home where RTL_CONE_ANG says so, never below the present height."""
@@ -542,13 +542,13 @@ class Px4(Autopilot):
         return z if wanted < z else min(wanted, highest)
 
     def _act_rtl(self, entering: bool) -> None:
-        x, y, z = self.body.pos_enu_m
-        home = self.body.home_enu_m
+        x, y, z = self.body.senses.pos_enu_m
+        home = self.body.senses.home_enu_m
         far = math.hypot(x - home[0], y - home[1])
         if entering:
             self._rtl_stage = 0
             self._hold = (x, y, self._rtl_top(z, home[2], far))
-            self.body.limit_speed()
+            self.body.motors.limit_speed()
         if self._rtl_stage == 0 and abs(z - self._hold[2]) < 0.5:
             self._rtl_stage = 1
             self._hold = (home[0], home[1], self._hold[2])
@@ -566,7 +566,7 @@ class Px4(Autopilot):
         if self._rtl_stage == 2:
             self._act_land(False)
         else:
-            self.body.command(self._hold, NOTHING)
+            self.body.motors.command(self._hold, NOTHING)
 
     def vision_enabled(self) -> bool:
         """EKF2_EV_CTRL has the bits of horizontal and vertical position."""
@@ -586,4 +586,4 @@ class Px4(Autopilot):
 
     def unknown_param(self, name: str) -> None:
         """PX4 tells so and sends no value."""
-        self.text(3, f"[pm] unknown param: {name}\t")
+        self.voice.text(3, f"[pm] unknown param: {name}\t")

@@ -8,11 +8,11 @@ from groundstation.mavlink.codec import Frame, StructuredArray
 from sitl.autopilot import Autopilot
 from sitl.body import Body
 from sitl.config import VehicleConfig
+from sitl.mavlink_ids import ACCEPTED, DENIED, MSG_SET_POSITION_TARGET_LOCAL_NED, UNSUPPORTED
 from sitl.messages import IntArray, Message, message, rows_of, times_ms
 from sitl.outfit import Outfit
 from sitl.params import REAL32, ParamSet
 from sitl.personality import Personality, StartUp
-from sitl.protocol import ACCEPTED, DENIED, MSG_SET_POSITION_TARGET_LOCAL_NED, UNSUPPORTED
 from sitl.setpoints import NOTHING, Setpoint, heading
 from sitl.state import State
 from sitl.telemetry import View
@@ -101,12 +101,12 @@ class Toycopter(Autopilot):
             self.disarm()
             return
         if self.landed and self.wants_up():
-            self.body.flying = True
+            self.body.motors.flying = True
         point = self.setpoint
         if self.mode == FOLLOW and point is not None:
-            self.body.command(NOTHING, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
+            self.body.motors.command(NOTHING, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
         else:
-            self.body.command(NOTHING, (0.0, 0.0, self._climb_m_s()))
+            self.body.motors.command(NOTHING, (0.0, 0.0, self._climb_m_s()))
 
     def vision_enabled(self) -> bool:
         return False

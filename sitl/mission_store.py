@@ -1,0 +1,167 @@
+"""The mission protocol and the stored mission: up, down, what is under way. Fences and rally points are refused."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from groundstation.mavlink.codec import Frame
+from sitl.mavlink_ids import MSG_MISSION_ITEM, MSG_MISSION_REQUEST
+from sitl.voice import Voice
+from sitl.wire import Fields
+
+_ITEM_PATIENCE_NS = 250_000_000
+_ITEM_TRIES = 20
+MISSION_ACCEPTED, MISSION_UNSUPPORTED, MISSION_BAD_X, MISSION_BAD_Y, MISSION_BAD_SEQUENCE = 0, 3, 10, 11, 13
+_FLIGHT, _ALL_KINDS = 0, 255  # mission types; fences (1) and rally points (2) are not emulated
+
+
+class Timed(Protocol):
+    """Who knows what time it is."""
+
+    @property
+    def now_ns(self) -> int:
+        """The world's clock."""
+
+
+class MissionStore:
+    """One vehicle's.
+
+    Attributes:
+        items: fields of MISSION_ITEM_INT.
+        seq: which of them is under way; a new mission starts at its beginning.
+    """
+
+    def __init__(self, voice: Voice, body: Timed) -> None:
+        self._voice, self._body = voice, body
+        self.items: list[Fields] = []
+        self.seq = 0
+        self._upload: dict[str, Any] | None = None
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    @property
+    def uploading(self) -> bool:
+        """Whether somebody is sending one."""
+        return self._upload is not None
+
+    def _ack(self, result: int, kind: int, frame: Frame) -> None:
+        self._voice.send(
+            "MISSION_ACK",
+            target_system=frame.sysid,
+            target_component=frame.compid,
+            type=result,
+            mission_type=kind,
+        )
+
+    def on_list(self, fields: Fields, frame: Frame) -> None:
+        """Tells how many items there are."""
+        kind = fields.get("mission_type", 0)
+        count = len(self.items) if kind == 0 else 0  # fences and rally points are not stored
+        self._voice.send(
+            "MISSION_COUNT",
+            target_system=frame.sysid,
+            target_component=frame.compid,
+            count=count,
+            mission_type=kind,
+        )
+
+    def on_request(self, fields: Fields, frame: Frame) -> None:
+        """Sends one item."""
+        seq, kind = fields["seq"], fields.get("mission_type", 0)
+        if kind != _FLIGHT or seq >= len(self.items):
+            self._ack(MISSION_BAD_SEQUENCE, kind, frame)
+            return
+        item = {k: v for k, v in self.items[seq].items() if not k.startswith("target_")}
+        name = "MISSION_ITEM_INT"
+        if frame.msgid == MSG_MISSION_REQUEST:
+            name = "MISSION_ITEM"
+            scale = 1e-7 if item["frame"] not in (1, 2) else 1e-4
+            item["x"], item["y"] = item["x"] * scale, item["y"] * scale
+        self._voice.send(name, target_system=frame.sysid, target_component=frame.compid, **item)
+
+    def on_count(self, fields: Fields, frame: Frame) -> None:
+        """Begins to take a mission."""
+        kind = fields.get("mission_type", 0)
+        if kind != _FLIGHT:
+            self._ack(MISSION_UNSUPPORTED, kind, frame)
+            return
+        if fields["count"] == 0:
+            self.items = []
+            self.seq = 0
+            self._ack(MISSION_ACCEPTED, kind, frame)
+            return
+        self._upload = {"count": fields["count"], "items": [], "kind": kind}
+        self._ask_item(frame)
+
+    def _ask_item(self, frame: Frame) -> None:
+        upload = self._upload
+        if upload is not None:
+            upload["asked_ns"], upload["from"] = self._body.now_ns, frame
+            self._voice.send(
+                "MISSION_REQUEST_INT",
+                target_system=frame.sysid,
+                target_component=frame.compid,
+                seq=len(upload["items"]),
+                mission_type=upload["kind"],
+            )
+
+    def on_item(self, fields: Fields, frame: Frame) -> None:
+        """Takes an item of it."""
+        upload = self._upload
+        kind = fields.get("mission_type", 0)
+        if upload is None or kind != upload["kind"]:
+            return
+        if fields["seq"] == len(upload["items"]):
+            item = dict(fields)
+            if frame.msgid == MSG_MISSION_ITEM:
+                scale = 1e7 if item["frame"] not in (1, 2) else 1e4
+                for axis, refusal in (("x", MISSION_BAD_X), ("y", MISSION_BAD_Y)):
+                    # NaN fails the comparison too; what is stored has to fit MISSION_ITEM_INT
+                    if not abs(item[axis] * scale) <= 0x7FFFFFFF:
+                        self._upload = None
+                        self._ack(refusal, kind, frame)
+                        return
+                    item[axis] = round(item[axis] * scale)
+            upload["items"].append(item)
+        if len(upload["items"]) == upload["count"]:
+            self.items = upload["items"]
+            self.seq = 0
+            self._upload = None
+            self._ack(MISSION_ACCEPTED, kind, frame)
+        else:
+            self._ask_item(frame)
+
+    def ask_again(self) -> None:
+        """Repeats the request for a mission item that has not come; gives an upload up after a while."""
+        upload = self._upload
+        if upload is None or self._body.now_ns - upload["asked_ns"] < _ITEM_PATIENCE_NS:
+            return
+        upload["tries"] = 0 if len(upload["items"]) != upload.get("stuck_at") else upload["tries"] + 1
+        upload["stuck_at"] = len(upload["items"])
+        if upload["tries"] >= _ITEM_TRIES:
+            self._upload = None
+            return
+        self._ask_item(upload["from"])
+
+    def on_clear(self, fields: Fields, frame: Frame) -> None:
+        """Forgets the mission."""
+        kind = fields.get("mission_type", 0)
+        if kind not in (_FLIGHT, _ALL_KINDS):
+            self._ack(MISSION_UNSUPPORTED, kind, frame)
+            return
+        self.items = []
+        self.seq = 0
+        self._ack(MISSION_ACCEPTED, kind, frame)
+
+    def set_current(self, seq: int) -> bool:
+        """Goes on with another item of the mission. Returns whether there is such an item."""
+        if not 0 <= seq < len(self.items):
+            return False
+        self.seq = seq
+        self._voice.send("MISSION_CURRENT", seq=seq, total=len(self.items))
+        return True
+
+    def on_set_current(self, fields: Fields, _frame: Frame) -> None:
+        """Goes on with another item, as ``set_current``."""
+        self.set_current(fields["seq"])
