@@ -6,7 +6,6 @@ matplotlib is loaded when something is drawn and not before.
 from __future__ import annotations
 
 import contextlib
-import html
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -16,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from groundstation.app.picture_style import INK, QUIET, SERIES, STYLE, html_page
+from groundstation.app.picture_style import INK, QUIET, SERIES, STYLE
 from groundstation.app.pictures import save_picture
 from groundstation.app.report import claim_report, write_report
+from groundstation.app.templates import render
 from groundstation.core.errors import CheckFailed, UserError
 from groundstation.core.own_files import claim, write_whole
 from groundstation.records.comparison import (
@@ -39,10 +39,6 @@ if TYPE_CHECKING:
 _LOGS_MAX = 50
 _MOST_INSTANTS = 3_000
 _MARK = '<meta name="generator" content="gs compare">'
-_CSS = """
-body { max-width: 1200px; } h2 { font-size: 1.25rem; margin: 2.5rem 0 0; } img { width: 100%; }
-th, td { padding: 0.3rem 1.2rem 0.3rem 0; }
-"""
 _COLUMNS = {
     "label": "flight",
     "outcome": "outcome",
@@ -217,22 +213,13 @@ def write_comparison(comparison: Comparison, folder: Path, *, reports: bool = Fa
 
 
 def _page(comparison: Comparison, folders: Sequence[Path]) -> str:
-    parts = [_MARK]
-    links = [f"{folder.name}/index.html" for folder in folders]
-    for number, (columns, rows) in enumerate(_tables(comparison)):
-        heads = "".join(f"<th>{html.escape(column)}</th>" for column in columns)
-        lines = []
-        for row, cells in enumerate(rows):
-            shown = [html.escape(cell) for cell in cells]
-            if number == 0 and links:
-                shown[0] = f'<a href="{links[row]}">{shown[0]}</a>'
-            lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in shown) + "</tr>")
-        parts.append(f"<section><table><tr>{heads}</tr>{''.join(lines)}</table></section>")
-    parts += [
-        f'<section><h2>{html.escape(item.title)}</h2><img src="{item.file}" alt="{html.escape(item.title)}"></section>'
-        for item in _PICTURES
-    ]
-    return html_page(f"{len(comparison.flights)} flights compared", "\n".join(parts), _CSS)
+    return render(
+        "comparison.html",
+        title=f"{len(comparison.flights)} flights compared",
+        tables=_tables(comparison),
+        links=[f"{folder.name}/index.html" for folder in folders],
+        pictures=_PICTURES,
+    )
 
 
 def _since(flight: Flight) -> tuple[Any, Any]:

@@ -1,11 +1,10 @@
-"""How pictures and pages look: colours, matplotlib's settings, the frame of a page of HTML.
+"""How pictures and pages look: colours, and matplotlib's settings.
 
 Values only: nothing is drawn here, and matplotlib is not loaded.
 """
 
 from __future__ import annotations
 
-import html
 from typing import Any
 
 INK = "#22272e"
@@ -33,34 +32,3 @@ STYLE: dict[Any, Any] = {
     "savefig.facecolor": "white",
 }
 """matplotlib's rc settings."""
-_PAGE_CSS = f"""
-body {{ font: 16px/1.5 system-ui, sans-serif; color: {INK}; margin: 2rem auto; padding: 0 1rem; }}
-img {{ height: auto; }}
-table {{ border-collapse: collapse; }}
-th, td {{ text-align: left; border-bottom: 1px solid {LINE}; }}
-td {{ font-variant-numeric: tabular-nums; }}
-""".strip()
-
-
-def html_page(title: str, body: str, css: str) -> str:
-    """A whole page of HTML: no script, no resource from elsewhere.
-
-    Args:
-        title: of the window, and the heading; as text.
-        body: what follows the heading; as HTML.
-        css: the page's own rules, which win over the common ones.
-    """
-    title = html.escape(title)
-    return f"""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-{_PAGE_CSS}
-{css.strip()}
-</style>
-<h1>{title}</h1>
-{body.strip()}
-</html>
-"""

@@ -7,7 +7,6 @@ frame) is named as missing in the picture's place. matplotlib is loaded when a r
 from __future__ import annotations
 
 import contextlib
-import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE, html_page
+from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE
 from groundstation.app.pictures import save_picture
+from groundstation.app.templates import render
 from groundstation.core.errors import UserError
 from groundstation.core.own_files import claim, write_whole
 from groundstation.core.types import BoolArray, FloatArray, IntArray
@@ -36,12 +36,6 @@ _STYLE: dict[Any, Any] = STYLE | {
     "xtick.color": INK,
     "ytick.color": INK,
 }
-_CSS = """
-body { max-width: 1200px; }
-h1 { font-size: 1.8rem; } h2 { font-size: 1.25rem; margin: 2.5rem 0 0; } p { margin: 0.2rem 0 0.6rem; }
-img { width: 100%; }
-th, td { font-weight: normal; padding: 0.3rem 1.5rem 0.3rem 0; }
-"""
 
 
 @dataclass(frozen=True)
@@ -174,28 +168,14 @@ def key_figures(flight: Flight) -> list[tuple[str, str]]:
 
 def to_html(flight: Flight) -> str:
     """The page: key figures, pictures, events; no script, no resource from elsewhere."""
-    rows = "\n".join(
-        f"<tr><th>{html.escape(label)}</th><td>{html.escape(value)}</td></tr>" for label, value in key_figures(flight)
-    )
-    pictures = "\n".join(
-        f"<section><h2>{html.escape(item.title)}</h2><p>{html.escape(item.text)}</p>"
-        f'<img src="{item.file}" alt="{html.escape(item.title)}"></section>'
-        for item in PICTURES
-    )
     notes: list[Event | Operator] = sorted([*flight.events, *flight.operator], key=lambda note: note.t_ns)
-    events = "\n".join(
-        f"<tr><td>{(note.t_ns - flight.start_ns) / 1e9:.2f} s</td><td>{html.escape(note.text)}</td></tr>"
-        for note in notes
+    return render(
+        "flight.html",
+        title=flight.name,
+        figures=key_figures(flight),
+        pictures=PICTURES,
+        events=[((note.t_ns - flight.start_ns) / 1e9, note.text) for note in notes],
     )
-    log = f"<section><h2>Events</h2><table>{events}</table></section>" if notes else ""
-    body = f"""
-<table>
-{rows}
-</table>
-{pictures}
-{log}
-"""
-    return html_page(flight.name, body, _CSS)
 
 
 def _draw_trajectories(figure: Figure, flight: Flight) -> None:

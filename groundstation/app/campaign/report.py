@@ -5,7 +5,6 @@ matplotlib is loaded when pictures are drawn and not before.
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,20 +14,15 @@ import numpy as np
 
 from groundstation.app.campaign.run import Row
 from groundstation.app.output import to_json
-from groundstation.app.picture_style import BLUE, GREEN, ORANGE, RED, SERIES, STYLE, html_page
+from groundstation.app.picture_style import BLUE, GREEN, ORANGE, RED, SERIES, STYLE
 from groundstation.app.pictures import save_picture
+from groundstation.app.templates import render
 from groundstation.core.errors import UserError
 from groundstation.core.own_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_CSS = """
-body { font-size: 15px; max-width: 1300px; }
-h1 { font-size: 1.7rem; } h2 { font-size: 1.2rem; margin: 2rem 0 0.3rem; } img { max-width: 100%; }
-.wide { overflow-x: auto; }
-th, td { padding: 0.25rem 1rem 0.25rem 0; vertical-align: top; } code { font-size: 0.85em; }
-"""
 _GROUPS_MAX = 24
 _CELLS_MAX = 40
 _PHASES = ("ground", "takeoff", "form", "hold", "return", "land")
@@ -133,33 +127,14 @@ def _text(cell: Mapping[str, Any], key: str) -> str:
 
 
 def _page(title: str, values: Mapping[str, Any], pictures: Sequence[tuple[str, str]]) -> str:
-    head, *rows = lines(values)
-    faults = fault_lines(values)
-    table = "<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"
-    table += "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    struck = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in faults)
-    struck = (
-        f'<h2>Faults: safe and told, of all runs</h2><div class="wide"><table>{struck}</table></div>' if faults else ""
+    return render(
+        "campaign.html",
+        title=title,
+        cells=lines(values),
+        faults=fault_lines(values),
+        pictures=pictures,
+        worst=values["worst"],
     )
-    worst = "".join(
-        f"<tr><td>{item['run']}</td><td>{html.escape(item['why'])}</td><td><code>{html.escape(item['replay'])}</code></td></tr>"
-        for item in values["worst"]
-    )
-    images = "".join(
-        f'<h2>{html.escape(words)}</h2><img src="{file}" alt="{html.escape(words)}">' for file, words in pictures
-    )
-    body = f"""
-<p>Intervals are 95 % (Clopper and Pearson). Success: formed, completed, everybody down, true distance never below r.
-Safe: everybody down or in failsafe, and nobody who could keep clear came nearer than r.
-"Of kinematic" is the median of the time to form over that of points that do at once what they are told, without margin,
-from the same starts.</p>
-<div class="wide"><table>{table}</table></div>
-{struck}
-{images}
-<h2>Worst runs</h2>
-<div class="wide"><table><tr><th>run</th><th>why</th><th>again</th></tr>{worst}</table></div>
-"""
-    return html_page(title, body, _CSS)
 
 
 def draw(folder: Path, rows: Sequence[Row], values: Mapping[str, Any]) -> list[tuple[str, str]]:
