@@ -85,9 +85,9 @@ def main() -> None:
     hold_streams()
     arguments = sys.argv[1:]
     if arguments == ["--version"]:
-        from groundstation.records.manifest import versions  # noqa: PLC0415 - loads numpy
+        from groundstation.app.about import version_words  # noqa: PLC0415 - asks git
 
-        Console(highlight=False).print(f"gs {versions()['gs']}")
+        Console(highlight=False).print(version_words(), markup=False)
         return
     called = next((argument for argument in arguments or words_to_complete() if not argument.startswith("-")), None)
     try:
