@@ -60,7 +60,7 @@ class Dynamics:
     def step(self) -> None:
         """Moves every vehicle by one physics step."""
         estimator, motion, commands, k = self._estimator, self.motion, self.commands, self._k
-        estimator.step()
+        estimator.step(motion.on_ground)
         self._k = k + 1
         if motion.all_on_ground and not commands.flying.any():
             if not self._settled:

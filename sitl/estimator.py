@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.frames import Array
 from sitl.wander import Wander
@@ -31,6 +32,9 @@ class Noise:
         att_sigma_rad, att_tau_s: the same for the tilt (two axes) and the heading.
         origin_sigma_m: error of the estimator's origin at start, horizontal; vertical 1.2 times as large; both are
             cut off at two sigma.
+        vel_axes: shares of the velocity error on the east, north and upward axis.
+        vel_in_air_only: the velocity is right while the vehicle stands: its own motors shake what makes it wrong.
+        pos_follows_s: for about so long the position follows the wrong velocity before it is corrected; 0: never.
     """
 
     pos_sigma_m: float = 0.005
@@ -41,6 +45,9 @@ class Noise:
     att_sigma_rad: float = math.radians(0.3)
     att_tau_s: float = 2.0
     origin_sigma_m: float = 0.0
+    vel_axes: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    vel_in_air_only: bool = False
+    pos_follows_s: float = 0.0
 
 
 NOISELESS = Noise(0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0)
@@ -60,6 +67,7 @@ GPS = Noise(
 
 _BLOCK = 128
 _EVERY = 5  # the errors move every fifth physics step: they are slow
+_SHAKES_AFTER_S = 2.0  # off the ground, until the motors' shaking shows in full
 
 
 class Estimator:
@@ -83,6 +91,7 @@ class Estimator:
         sigma = np.concatenate([rows("pos_sigma_m"), rows("vel_sigma_m_s"), rows("att_sigma_rad")])
         tau = np.concatenate([rows("pos_tau_s"), rows("vel_tau_s"), rows("att_tau_s")])
         keep = np.exp(-self._dt / tau)
+        sigma[3:6] *= np.array([noise.vel_axes for noise in noises]).T
         drive = sigma * np.sqrt(1.0 - keep**2)
         self._errors = Wander(sigma * rng.standard_normal((9, n)), keep, drive, rng=rng, block=_BLOCK)
         self._count = 0
@@ -91,24 +100,44 @@ class Estimator:
         self.drift_enu_m_s = np.zeros((3, n))
         self.faulty = False
         self.pos_error, self.vel_error, self.att_error = np.split(self._errors.now, 3)
+        self._calm = np.array([noise.vel_in_air_only for noise in noises])
+        follows_s = np.array([noise.pos_follows_s for noise in noises])
+        self._led = bool(self._calm.any() or follows_s.any())
+        self._led_keep = np.exp(-self._dt / np.maximum(follows_s, 1e-9))
+        self._shaken, self._followed_m = np.zeros(n), np.zeros((3, n))
+        if self._led:
+            self._lead(np.ones(n, dtype=bool))
         origin = np.array([noise.origin_sigma_m for noise in noises])
         self.origin_error_enu_m = np.clip(rng.standard_normal((3, n)), -2.0, 2.0) * origin
         self.origin_error_enu_m[2] *= 1.2
 
-    def step(self) -> None:
-        """Lets the errors wander by one physics step."""
+    def step(self, on_ground: NDArray[np.bool_]) -> None:
+        """Lets the errors wander by one physics step; ``on_ground``: who stands, shape (n,)."""
         self._count += 1
         if self._count % _EVERY:
             return
         self._errors.step()
         if self.faulty:
             self.offset_enu_m += self.drift_enu_m_s * self._dt
+        if self._led:
+            self._lead(on_ground)
+        elif self.faulty:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m
+
+    def _lead(self, on_ground: NDArray[np.bool_]) -> None:
+        """Velocities are wrong in the air only, and positions follow them for a while."""
+        self._shaken = np.where(on_ground, 0.0, np.minimum(self._shaken + self._dt / _SHAKES_AFTER_S, 1.0))
+        self.vel_error = self._errors.now[3:6] * np.where(self._calm, self._shaken, 1.0)
+        self._followed_m = self._led_keep * (self._followed_m + self.vel_error * self._dt)
+        self.pos_error = self._errors.now[:3] + self._followed_m + self.offset_enu_m
 
     def refresh(self) -> None:
         """Lets a changed ``offset_enu_m`` act at once."""
         self.faulty = bool(self.offset_enu_m.any() or self.drift_enu_m_s.any())
-        self.pos_error = self._errors.now[:3] + self.offset_enu_m if self.faulty else self._errors.now[:3]
+        if self._led:
+            self.pos_error = self._errors.now[:3] + self._followed_m + self.offset_enu_m
+        else:
+            self.pos_error = self._errors.now[:3] + self.offset_enu_m if self.faulty else self._errors.now[:3]
 
     def white(self) -> Array:
         """White part of one report of every position, shape (3, n), m."""

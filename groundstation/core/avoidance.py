@@ -67,10 +67,10 @@ def avoid(views: LocalViews, desired_flu_m_s: FloatArray, region: SafetyRegion) 
     if desired_flu_m_s.shape != (views.viewers, 3) or not np.all(np.isfinite(desired_flu_m_s)):
         raise ValueError(f"desired velocities must be finite and of shape ({views.viewers}, 3)")
     if region.by_distance:
-        return _around(region.blocked(views.rel_pos_flu_m, views.visible, views.extra_m), desired_flu_m_s)
+        return _around(region.blocked(views.rel_pos_flu_m, views.visible, views.grown_m), desired_flu_m_s)
     level = rot_level_from_flu(views.up_flu)
     rel_level_m = frames.rotate(level[:, None], views.rel_pos_flu_m)
-    cones = region.blocked(rel_level_m, views.visible, views.extra_m)
+    cones = region.blocked(rel_level_m, views.visible, views.grown_m)
     result = _around(cones, frames.rotate(level, desired_flu_m_s))
     vel_flu_m_s = np.where(
         result.angle_rad[:, None] > 0.0, frames.rotate_back(level, result.vel_flu_m_s), desired_flu_m_s

@@ -284,11 +284,11 @@ def _distance_left(views: LocalViews, params: DamperParams) -> tuple[FloatArray,
         seen = views.visible & (length > 1e-9)
         length = np.where(seen, length, 1.0)
         normals = np.where(seen[..., None], rel, 0.0) / length[..., None]
-        left = length - (params.radius_m + params.margin_m + views.extra_m)
+        left = length - (params.radius_m + params.margin_m + views.grown_m)
         return np.where(seen, left, np.inf), normals
     level = rot_level_from_flu(views.up_flu)[:, None]
     offset = np.where(views.visible[..., None], frames.rotate(level, rel), 0.0)
-    left, gradient = params.keep_out.distance(offset, views.extra_m)
+    left, gradient = params.keep_out.distance(offset, views.grown_m)
     seen = views.visible & (np.abs(gradient).max(axis=-1) > 0.0)
     normals = np.where(seen[..., None], frames.rotate_back(level, gradient), 0.0)
     return np.where(seen, left, np.inf), normals

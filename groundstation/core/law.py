@@ -201,6 +201,7 @@ class OwnAvoidance:
             vel_flu_m_s=_sealed(views.vel_flu_m_s),
             extra_m=_sealed(views.extra_m),
             up_flu=_sealed(views.up_flu),
+            wider_m=_sealed(views.wider_m),
         )
         vel = _answered(self._name, self._answer, self._ids, (given, _sealed(desired_flu_m_s), region))
         wanted, left = np.linalg.norm(desired_flu_m_s, axis=1), np.linalg.norm(vel, axis=1)

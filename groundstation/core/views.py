@@ -30,6 +30,8 @@ class LocalViews:
         vel_flu_m_s: own velocity in own axes, shape (m, 3), NaN where unknown.
         extra_m: what is added to the safety radius between i and j because j is an obstacle that nobody steers, shape
             (m, n), >= 0. Where it is above zero, i does both halves of every manoeuvre. Zeros when left out.
+        wider_m: what is added to the safety radius between i and j because less is known of j, or of i, than the margin
+            reckons with, shape (m, n), >= 0; both do their halves. Zeros when left out.
         up_flu: unit vector upwards in own axes, from the own attitude, shape (m, 3). Level when left out.
     """
 
@@ -39,14 +41,17 @@ class LocalViews:
     vel_flu_m_s: FloatArray
     extra_m: FloatArray = field(default_factory=lambda: _NOBODY)
     up_flu: FloatArray = field(default_factory=lambda: _NOBODY)
+    wider_m: FloatArray = field(default_factory=lambda: _NOBODY)
 
     def __post_init__(self) -> None:
         """Refuses arrays that do not belong together."""
         m, n = self.visible.shape
-        if self.extra_m is _NOBODY:
-            object.__setattr__(self, "extra_m", np.zeros((m, n)))
-        elif self.extra_m.shape != (m, n) or not np.all((self.extra_m >= 0.0) & (self.extra_m < np.inf)):
-            raise ValueError(f"views: extra radii must be finite, not negative and of shape ({m}, {n})")
+        for name in ("extra_m", "wider_m"):
+            given = getattr(self, name)
+            if given is _NOBODY:
+                object.__setattr__(self, name, np.zeros((m, n)))
+            elif given.shape != (m, n) or not np.all((given >= 0.0) & (given < np.inf)):
+                raise ValueError(f"views: extra radii must be finite, not negative and of shape ({m}, {n})")
         if self.up_flu is _NOBODY:
             object.__setattr__(self, "up_flu", np.tile([0.0, 0.0, 1.0], (m, 1)))
         elif self.up_flu.shape != (m, 3):
@@ -58,6 +63,11 @@ class LocalViews:
             )
         if self.vel_flu_m_s.shape != (m, 3):
             raise ValueError(f"views: own velocities have shape {self.vel_flu_m_s.shape}, expected ({m}, 3)")
+
+    @property
+    def grown_m(self) -> FloatArray:
+        """What is added to the safety radius of each pair, for whatever reason, shape (m, n)."""
+        return self.extra_m + self.wider_m
 
     @property
     def viewers(self) -> int:
@@ -79,6 +89,7 @@ class LocalViews:
             vel_flu_m_s=self.vel_flu_m_s[rows],
             extra_m=self.extra_m[rows],
             up_flu=self.up_flu[rows],
+            wider_m=self.wider_m[rows],
         )
 
 

@@ -40,8 +40,8 @@ class Lookout:
         """
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
-        poses = board.trusted(poses, pose_ns, now_ns)
         airborne = team.standing.airborne(now_ns)
+        poses = board.trusted(poses, pose_ns, airborne, now_ns)
         sight = Sight(
             fleet=fleet,
             now_ns=now_ns,
@@ -57,12 +57,13 @@ class Lookout:
             blind=board.blind,
             airborne=airborne,
             going_on=self._machine.going_on,
+            vel_error_ned_m_s=board.speeds.known_error_ned_m_s,
         )
         findings = board.look(sight)
         fleet.doubt_the_ground(board.flies)
         self._act(findings, poses, now_ns)
         board.wind.enter(team.figures)
-        poses = board.obstacles(poses, fleet, pose_ns, roster, now_ns)
+        poses = board.obstacles(board.steady(poses), fleet, pose_ns, roster, now_ns)
         # Nobody stays under a vehicle that comes down.
         sinking = poses.sinking | team.landing.columns() | team.killing.falling(now_ns)
         # Who stands makes room for nobody.

@@ -210,7 +210,7 @@ class Runner(Told):
             return []
         due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
         still = team.board.hold | ~team.roster.follows
-        self._sent_ned_m_s = np.where(still[:, None], 0.0, velocity_ned_m_s)
+        self._sent_ned_m_s = np.where(still[:, None], 0.0, team.board.speeds.told(velocity_ned_m_s))
         streaming = np.asarray(due & team.roster.steered & state.streams)
         try:
             return team.station.transmit(now_ns, self._sent_ned_m_s, team.stance.yaw_ned_rad, streaming)

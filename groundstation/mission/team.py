@@ -102,9 +102,9 @@ class Team:
         return np.asarray(board.hold | board.blind | board.foreign | ~self.roster.follows)
 
     def tolerance_m(self, least_m: float) -> float:
-        """How near to a place counts as there: the least, or what positions may be off, and what gusts push."""
+        """How near to a place counts as there: the least, or what positions may be off, and what moves it about."""
         still_m = max(least_m, _OF_MARGIN * self.plan.margin_m * min(self.plan.slowness, _SLOWNESS_MAX))
-        return still_m + 0.5 * self.board.wind.sway_m
+        return still_m + 0.5 * self.board.sway_m
 
     def height_m(self, pos_team_ned_m: FloatArray) -> FloatArray:
         """Heights of places, shape (n, 3), above the pads, shape (n,)."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, IntArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 
 SECOND_NS = 1_000_000_000
+_LEAVES = 2.0  # times the tolerance: who is farther than that is there no more
 
 
 class Held:
@@ -41,6 +42,32 @@ class HeldEach:
         started_ns = np.where(self.since_ns == NEVER, now_ns, self.since_ns)
         self.since_ns = np.where(conditions, started_ns, NEVER)
         return np.asarray(conditions & (now_ns - self.since_ns >= for_ns))
+
+
+class There:
+    """Who of n has come to its place: for a while within a tolerance, and since then not out of twice of it."""
+
+    def __init__(self, n: int) -> None:
+        self._near = HeldEach(n)
+        self._there: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    def __call__(self, offset_m: FloatArray, tolerance_m: float, now_ns: int, for_ns: int = SECOND_NS) -> BoolArray:
+        """Takes how far from its place each is, shape (n,); returns who is there.
+
+        Args:
+            offset_m: from their places, shape (n,); an unknown one is not there.
+            tolerance_m: within it is there.
+            now_ns: time of the tick.
+            for_ns: how long it has to be within the tolerance.
+        """
+        near = self._near(np.asarray(offset_m < tolerance_m), now_ns, for_ns)
+        self._there = np.asarray((near | self._there) & (offset_m < _LEAVES * tolerance_m))
+        return self._there
+
+    def forget(self) -> None:
+        """It counts from anew."""
+        self._near = HeldEach(len(self._there))
+        self._there = np.zeros(len(self._there), dtype=np.bool_)
 
 
 class Since:

@@ -71,7 +71,7 @@ def test_one_that_comes_down_with_an_extra_radius_is_left_once_and_not_twice() -
 def test_extra_radii_belong_to_vehicles() -> None:
     poses = poses_of([0.0, 0.0, -1.0], [2.0, 0.0, -1.0])
     assert not poses.extra_radius_m.any()
-    with pytest.raises(ValueError, match="extra radii"):
+    with pytest.raises(ValueError, match="extra_radius_m"):
         dataclasses.replace(poses, extra_radius_m=np.zeros(3))
 
 

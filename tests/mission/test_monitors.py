@@ -72,6 +72,7 @@ class Scene:
         poses = self.monitor.trusted(
             Poses(self.pos, self.vel, self.fleet.quat_ned_from_frd, np.zeros(len(self.fleet), dtype=np.bool_)),
             pose_ns,
+            self.fleet.armed.copy(),
             self.now_ns,
         )
         self.poses = poses
@@ -278,10 +279,10 @@ def test_a_velocity_that_changes_unseen_in_a_gap_is_no_jump() -> None:
             pose_ns = np.full(8, now_ns)
         if tick == 55:
             pos = pos + np.array([0.9, 0.0, 0.0])  # after 0.9 s without a word, at up to 4 m/s^2
-        watch.take(Poses(pos, vel, quat, nobody), pose_ns, now_ns)
+        watch.take(Poses(pos, vel, quat, nobody), pose_ns, np.zeros(8), now_ns)
         assert not watch.suspect.any()
         if tick == 55:
-            watch.take(Poses(pos, vel, quat, nobody), pose_ns, now_ns + TICK_NS)
+            watch.take(Poses(pos, vel, quat, nobody), pose_ns, np.zeros(8), now_ns + TICK_NS)
             assert not watch.suspect.any()
             break
 

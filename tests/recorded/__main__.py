@@ -6,6 +6,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from tests.recorded.judging import held_back, judge
 from tests.recorded.recording import chosen, listen, load
 
@@ -26,6 +28,10 @@ def main(names: list[str]) -> None:
         for t_ns, text in belief.alarms:
             _say(f"  {t_ns / 1e9:7.2f} s {text}")
         for item in judge(recording, belief):
+            _say(
+                f"  vehicle {item.sysid}: its velocity is said to be off by {item.told_rms_m_s:.3f} m/s and is by"
+                f" {np.linalg.norm(item.vel_rms_m_s):.3f}; flown by with {np.linalg.norm(item.steady_rms_m_s):.3f}"
+            )
             _say(
                 f"  vehicle {item.sysid}: position rms {item.pos_rms_m.round(2)} most {item.pos_max_m.round(2)} m,"
                 f" velocity rms {item.vel_rms_m_s.round(2)} most {item.vel_max_m_s.round(2)} m/s, believed aloft"

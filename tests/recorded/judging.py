@@ -28,6 +28,8 @@ class Judgement:
         flew: it was truly in the air.
         pos_rms_m, pos_max_m: believed against true position in the air, axes east, north, up, shape (3,).
         vel_rms_m_s, vel_max_m_s: the same of velocities, axes north, east, down, shape (3,).
+        steady_rms_m_s: root mean square of the error of the velocities that are steered by, shape (3,).
+        told_rms_m_s: what is said of the error of the reported ones, all axes together, root mean square.
         unarmed_in_air: ticks at which it truly flew and was believed to be disarmed.
         landed_in_air: ticks at which it truly flew and was believed to stand on the ground.
         aloft_early_s: how long it was believed to fly before it truly did.
@@ -41,6 +43,8 @@ class Judgement:
     pos_max_m: FloatArray
     vel_rms_m_s: FloatArray
     vel_max_m_s: FloatArray
+    steady_rms_m_s: FloatArray
+    told_rms_m_s: float
     unarmed_in_air: int
     landed_in_air: int
     aloft_early_s: float
@@ -61,9 +65,11 @@ def _judge(recording: Recording, belief: Belief, vehicle: int) -> Judgement:
     both = aloft & truly & np.isfinite(belief.pos_enu_m[:, vehicle]).all(axis=1)
     pos_m = np.abs(belief.pos_enu_m[both, vehicle] - pos_enu_m[both])
     vel_m_s = np.abs(belief.vel_ned_m_s[both, vehicle] - vel_ned_m_s[both])
+    steady_m_s = belief.steady_ned_m_s[both, vehicle] - vel_ned_m_s[both]
+    told_m_s = belief.told_error_m_s[both, vehicle]
     flew = bool(both.any())
     nothing = np.zeros((1, 3))
-    pos_m, vel_m_s = (pos_m, vel_m_s) if flew else (nothing, nothing)
+    pos_m, vel_m_s, steady_m_s = (pos_m, vel_m_s, steady_m_s) if flew else (nothing, nothing, nothing)
     on_ground = np.flatnonzero(height_m < DOWN_M)
     lifted_s = _seconds(belief, np.flatnonzero(truly), 0) - _seconds(belief, np.flatnonzero(aloft), 0)
     ended = bool(belief.landed[-1, vehicle])
@@ -76,6 +82,8 @@ def _judge(recording: Recording, belief: Belief, vehicle: int) -> Judgement:
         pos_max_m=pos_m.max(axis=0),
         vel_rms_m_s=np.sqrt((vel_m_s**2).mean(axis=0)),
         vel_max_m_s=vel_m_s.max(axis=0),
+        steady_rms_m_s=np.sqrt((steady_m_s**2).mean(axis=0)),
+        told_rms_m_s=float(np.sqrt((told_m_s[told_m_s > 0.0] ** 2).mean())) if (told_m_s > 0.0).any() else 0.0,
         unarmed_in_air=int((truly & ~belief.armed[:, vehicle]).sum()),
         landed_in_air=int((truly & belief.landed[:, vehicle]).sum()),
         aloft_early_s=lifted_s,

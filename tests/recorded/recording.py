@@ -94,6 +94,8 @@ class Belief:
     Attributes:
         t_ns: times of the ticks, shape (t,).
         pos_enu_m, vel_ned_m_s: at the tick, in the team frame, shape (t, n, 3).
+        steady_ned_m_s: velocities that are steered by, shape (t, n, 3).
+        told_error_m_s: what is said of the error of the reported ones, all axes, shape (t, n); 0 until it is known.
         reported_ns: when the newest position was measured, shape (t, n).
         armed, landed: as believed, shape (t, n).
         ready_ns: from when on preflight had nothing against a vehicle, without a break until arming; shape (n,).
@@ -107,6 +109,8 @@ class Belief:
     t_ns: IntArray
     pos_enu_m: FloatArray
     vel_ned_m_s: FloatArray
+    steady_ned_m_s: FloatArray
+    told_error_m_s: FloatArray
     reported_ns: IntArray
     armed: BoolArray
     landed: BoolArray
@@ -210,12 +214,13 @@ def listen(recording: Recording) -> Belief:
         {sysid: row for row, sysid in enumerate(ids)},
     )  # fmt: skip
     belief = Belief(
-        *(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)),
+        *(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)),
+        np.zeros(0, dtype=np.int64),
         *(np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)),
         ready_ns=never.copy(), armed_ns=sent.armed_ns, problems=[], waited={}, alarms=[],
         restarts=fleet.restarts, clock_known=fleet.clocks.known,
     )  # fmt: skip
-    rows: list[tuple[int, FloatArray, FloatArray, IntArray, BoolArray, BoolArray]] = []
+    rows: list[tuple[int, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, BoolArray, BoolArray]] = []
     phase = "connect"
     for record in recording.records:
         if isinstance(record, Received):
@@ -235,12 +240,13 @@ def listen(recording: Recording) -> Belief:
             if phase == "connect":
                 frame.placement.look(fleet, now_ns)
             poses = frame.poses(fleet, now_ns)
+            steady_ned_m_s, told_error_m_s = poses.vel_ned_m_s, np.zeros(n)
             if phase == "connect":
                 _on_the_ground(preflight, station, poses, belief, now_ns)
             elif phase not in ("arm", "done"):
                 airborne: BoolArray = fleet.armed & (fleet.landed_state != LANDED_ON_GROUND)
                 pose_ns = frame.pose_ns(fleet)
-                poses = monitor.trusted(poses, pose_ns, now_ns)
+                poses = monitor.trusted(poses, pose_ns, airborne, now_ns)
                 sight = Sight(
                     fleet=fleet, now_ns=now_ns, pos_team_ned_m=poses.pos_team_ned_m, vel_ned_m_s=poses.vel_ned_m_s,
                     pose_ns=pose_ns, drift_m=frame.drift_m(fleet, now_ns), sent_ned_m_s=sent.vel_ned_m_s,
@@ -250,12 +256,16 @@ def listen(recording: Recording) -> Belief:
                 findings = monitor.look(sight)
                 ours[findings.release] = False
                 belief.alarms += [(now_ns, alarm) for alarm in findings.alarms]
+                steady_ned_m_s = monitor.steady(poses).vel_ned_m_s
+                told_error_m_s = monitor.speeds.told_error_m_s
             north, east, down = poses.pos_team_ned_m.T
             rows.append(
                 (
                     now_ns,
                     np.stack([east, north, -down], axis=1),  # not by the function that is judged
                     poses.vel_ned_m_s.copy(),
+                    steady_ned_m_s.copy(),
+                    told_error_m_s.copy(),
                     fleet.pose_ns.copy(),
                     fleet.armed.copy(),
                     fleet.landed_state == LANDED_ON_GROUND,
@@ -263,9 +273,10 @@ def listen(recording: Recording) -> Belief:
             )
     columns = list(zip(*rows, strict=True))
     belief.t_ns = np.array(columns[0], dtype=np.int64)
-    belief.pos_enu_m, belief.vel_ned_m_s, belief.reported_ns, belief.armed, belief.landed = (
-        np.stack(column) for column in columns[1:]
+    belief.pos_enu_m, belief.vel_ned_m_s, belief.steady_ned_m_s, belief.told_error_m_s = (
+        np.stack(column) for column in columns[1:5]
     )
+    belief.reported_ns, belief.armed, belief.landed = (np.stack(column) for column in columns[5:])
     return belief
 
 

@@ -234,7 +234,7 @@ def test_estimation_noise_has_the_stated_size_and_memory() -> None:
     estimator = Estimator([MOCAP] * 40, STEP_S, np.random.default_rng(5))
     samples = []
     for _ in range(15000):
-        estimator.step()
+        estimator.step(np.zeros(40, dtype=bool))
         samples.append(estimator.pos_error.copy())
     errors = np.array(samples)[::5]
     assert errors.std() == pytest.approx(0.005, rel=0.1)

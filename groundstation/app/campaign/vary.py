@@ -76,7 +76,7 @@ class NoiseSpec(_Strict):
     def apply(self, noise: Noise) -> Noise:
         """Returns these errors in place of others, where they are given."""
         attitude = None if self.attitude_deg is None else float(np.radians(self.attitude_deg))
-        given = {
+        given: dict[str, Any] = {
             "pos_sigma_m": self.position_m,
             "pos_tau_s": self.position_tau_s,
             "pos_white_m": self.white_m,

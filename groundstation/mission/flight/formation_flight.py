@@ -212,7 +212,7 @@ class FormationFlight:
             now_ns: time of the tick.
             poses: of the team.
             absent: vehicles that do not follow at the moment, shape (n,); a moving formation waits for them.
-            sway_m: how far distances may sway in the gusts of the moment; allowed beside the tolerance.
+            sway_m: how far distances may sway in gusts and by poor velocities; allowed beside the tolerance.
 
         Raises:
             RuntimeError: roles were never assigned, or no step was begun.

@@ -29,6 +29,7 @@ from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.positioning import DEVIATIONS
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.plan.stages import Stage
 
@@ -91,7 +92,7 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What positions may be off and gusts may do is added to r and d: then true distances stay above r.
-        margin_m = fitting_margin_m(plan.keep_out_margin_m, plan.room_m)
+        self._margin_m = margin_m = fitting_margin_m(plan.keep_out_margin_m, plan.room_m)
         self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
@@ -249,9 +250,8 @@ class Guide:
             reach_m = np.broadcast_to(self._reach_of(poses), (1, self._plan.size))[:, special]
             others = np.zeros((self._plan.size, self._plan.size), dtype=np.bool_)
             others[:, special] = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < reach_m**2
-        near = near_views(
-            poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, self._reach_m, others=others
-        )
+        near_m = self._reach_m + self._widest_m(poses)
+        near = near_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, near_m, others=others)
         offset_ned, under = self._shown(poses, near.who)
         return self._with_obstacles(poses, near.views, near.who, offset_ned, under), near.who
 
@@ -277,7 +277,9 @@ class Guide:
     def _with_obstacles(
         self, poses: Poses, views: LocalViews, who: IntArray, offset_ned: FloatArray, under: BoolArray
     ) -> LocalViews:
-        """Views with the extra radii of obstacles, and with those that may come down where they are taken to be."""
+        """Views with all extra radii, and with those that may come down where they are taken to be."""
+        if poses.vel_error_m_s.any():
+            views = replace(views, wider_m=self._wider_m(poses, who))
         if poses.extra_radius_m.any():
             # From where it is itself, an obstacle has nobody to make room for.
             extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[who])
@@ -289,14 +291,31 @@ class Guide:
         shown = (under & views.visible)[..., None]
         return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
 
+    def _wider_m(self, poses: Poses, who: IntArray) -> FloatArray:
+        """What the margin is to grow by for pairs with a poor velocity, as far as there is room, shape of ``who``.
+
+        The damper holds d + T d' against r: of a pair T times the error of d' is missing, for three deviations.
+        """
+        plan, error_m_s = self._plan, poses.vel_error_m_s
+        pair_m = DEVIATIONS * self._damper.horizon_s * np.hypot(error_m_s[:, None], error_m_s[who])
+        wanted_m = np.hypot(plan.keep_out_margin_m, pair_m)
+        most_m = fitting_margin_m(np.inf, plan.room_m)
+        return np.asarray(np.maximum(np.minimum(wanted_m, most_m) - self._margin_m, 0.0))
+
+    def _widest_m(self, poses: Poses) -> float:
+        if not poses.vel_error_m_s.any():
+            return 0.0
+        everybody = np.broadcast_to(np.arange(self._plan.size), (self._plan.size, self._plan.size))
+        return float(self._wider_m(poses, everybody).max())
+
     def _reach_of(self, poses: Poses) -> FloatArray | float:
         """How far each vehicle has to be seen by the others: farther where it is an obstacle, or a fast one."""
         if not poses.extra_radius_m.any():
-            return self._reach_m
+            return self._reach_m + self._widest_m(poses)
         speed_m_s = np.nan_to_num(np.linalg.norm(poses.vel_ned_m_s, axis=1))
         faster_m_s = np.maximum(speed_m_s - self._plan.spec.speed_limit_m_s, 0.0)
         farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
-        return self._reach_m + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
+        return self._reach_m + self._widest_m(poses) + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
 
     def _everybody(self, columns: NDArray[_T], visible: BoolArray, who: IntArray | None) -> NDArray[_T]:
         """Columns of those who are near as columns of everybody; as they are where they are that already."""

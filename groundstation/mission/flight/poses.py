@@ -26,6 +26,8 @@ class Poses:
         sinking: not steered by us, or its position is lost: it may come down anywhere below, shape (n,).
         extra_radius_m: what is added to r around a vehicle that nobody steers, so that the others do both halves of
             every manoeuvre, shape (n,), >= 0; zero for those we steer. Zeros when left out.
+        vel_error_m_s: standard deviation of a velocity that is known to be poor, one axis, shape (n,), >= 0; zero for
+            all others, whose error is part of the margin of r. Zeros when left out.
     """
 
     pos_team_ned_m: FloatArray
@@ -33,6 +35,7 @@ class Poses:
     quat_ned_from_frd: FloatArray
     sinking: BoolArray
     extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
+    vel_error_m_s: FloatArray = field(default_factory=lambda: _NOBODY)
 
     @cached_property
     def rot_ned_from_flu(self) -> FloatArray:
@@ -40,12 +43,14 @@ class Poses:
         return frames.rot_ned_from_flu(self.quat_ned_from_frd)
 
     def __post_init__(self) -> None:
-        """Fills in what was left out, and refuses radii of the wrong size."""
+        """Fills in what was left out, and refuses arrays of the wrong size."""
         n = len(self.pos_team_ned_m)
-        if self.extra_radius_m is _NOBODY:
-            object.__setattr__(self, "extra_radius_m", np.zeros(n))
-        elif self.extra_radius_m.shape != (n,):
-            raise ValueError(f"poses: extra radii have shape {self.extra_radius_m.shape}, expected ({n},)")
+        for name in ("extra_radius_m", "vel_error_m_s"):
+            given = getattr(self, name)
+            if given is _NOBODY:
+                object.__setattr__(self, name, np.zeros(n))
+            elif given.shape != (n,):
+                raise ValueError(f"poses: {name} has shape {given.shape}, expected ({n},)")
 
 
 def out_of_sight(poses: Poses) -> Poses:

@@ -48,7 +48,7 @@ class Now:
         error_m: largest distance error, NaN where a position is not known.
         upright: the formation does not stand on its head.
         absent: vehicles that do not follow at the moment, shape (n,).
-        sway_m: how far distances may sway in the gusts of the moment, beside every tolerance.
+        sway_m: how far distances may sway in gusts and by poor velocities, beside every tolerance.
     """
 
     now_ns: int
@@ -59,8 +59,8 @@ class Now:
     sway_m: float = 0.0
 
     def allowed(self, tolerance_m: float) -> str:
-        """A tolerance in words, with what gusts add to it."""
-        return f"{tolerance_m:g} m" + (f", and {self.sway_m:.2f} m for the gusts" if self.sway_m else "")
+        """A tolerance in words, with what gusts and poor velocities add to it."""
+        return f"{tolerance_m:g} m" + (f", and {self.sway_m:.2f} m for what sways" if self.sway_m else "")
 
     @property
     def off(self) -> str:

@@ -7,6 +7,7 @@ become an obstacle, and how large.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
@@ -45,19 +47,20 @@ class Board:
     Attributes:
         blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
         wind: what is known of the wind.
+        speeds: what is known of the errors of velocities.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
-        self.wind = Wind(plan)
+        self.wind, self.speeds = Wind(plan), PoorSpeeds(plan)
         self._modes, self._following = Modes(plan), Following(plan, self.wind)
         self._contradictions = Contradictions(plan)
         self._monitors: tuple[Monitor, ...] = (
             self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
-            BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan),
-            Descents(plan, self.wind), self._modes, LateTicks(plan), self._contradictions,
+            self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan),
+            Descents(plan, self.wind, self.speeds), self._modes, LateTicks(plan), self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
@@ -81,9 +84,27 @@ class Board:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""
         self._frames.begin(fleet.origin_moved_ns, fleet.restarts)
 
-    def trusted(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
-        """Puts trusted positions in place of those that have jumped; once per tick, before ``look``."""
-        return self._jumps.take(poses, pose_ns, now_ns)
+    @property
+    def sway_m(self) -> float:
+        """How far distances may sway at the moment, in gusts and by poor velocities."""
+        return math.hypot(self.wind.sway_m, self.speeds.sway_m)
+
+    def trusted(self, poses: Poses, pose_ns: IntArray, airborne: BoolArray, now_ns: int) -> Poses:
+        """Puts trusted positions in place of those that have jumped; once per tick, before ``look``.
+
+        Args:
+            poses: as reported.
+            pose_ns: when each was measured, shape (n,).
+            airborne: who flies, shape (n,).
+            now_ns: time of the tick.
+        """
+        trusted = self._jumps.take(poses, pose_ns, self.speeds.rms_m_s, now_ns)
+        self.speeds.take(poses, pose_ns, airborne & ~(self._jumps.suspect | self.blind), now_ns)
+        return trusted
+
+    def steady(self, poses: Poses) -> Poses:
+        """Poses to steer by: with velocities of which is known what they are worth."""
+        return self.speeds.steady(poses, self._jumps.suspect)
 
     def look(self, sight: Sight) -> Findings:
         """Looks at the fleet once per tick.

@@ -13,6 +13,7 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -26,9 +27,9 @@ _KEEP = "keep people away and look after it"
 class Descents:
     """Landings that do not go as landings do."""
 
-    def __init__(self, plan: MissionPlan, wind: Wind) -> None:
+    def __init__(self, plan: MissionPlan, wind: Wind, speeds: PoorSpeeds) -> None:
         n = plan.size
-        self._wind = wind
+        self._wind, self._speeds = wind, speeds
         self._tilt_deg = plan.spec.limits.tilt_deg
         self._above_m, self._beside_m = _ABOVE_M + plan.margin_m, _BESIDE_M + plan.margin_m
         self._ground_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)[:, 2]
@@ -61,7 +62,7 @@ class Descents:
         for vehicle in self._cut(cut, now_ns):
             height = f"has disarmed {height_m[vehicle]:.1f} m above its pad's ground, limit {self._above_m:.2g} m"
             yield Finding(Reaction.FAILED, f"{height}; {_KEEP}", (vehicle,))
-        beside_m = self._beside_m + self._wind.sway_m
+        beside_m = self._beside_m + self._wind.sway_m + self._speeds.sway_m
         for vehicle in self._ended(ended & (off_m > beside_m), now_ns):
             away = f"has landed {off_m[vehicle]:.2f} m from where it was told to, limit {beside_m:.2g} m"
             yield Finding(Reaction.FAILED, away, (vehicle,))

@@ -73,6 +73,7 @@ class Sight:
         blind: position lost for good, shape (n,): nothing is judged by where it says it is.
         airborne: armed, and does not report to stand on the ground, shape (n,).
         going_on: the mission goes on without a vehicle that is lost.
+        vel_error_ned_m_s: what velocities that are known to be poor are off by, shape (n, 3); zeros when left out.
     """
 
     fleet: Fleet
@@ -89,6 +90,12 @@ class Sight:
     blind: BoolArray
     airborne: BoolArray
     going_on: bool = False
+    vel_error_ned_m_s: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        """Fills in what was left out."""
+        if not len(self.vel_error_ned_m_s):
+            object.__setattr__(self, "vel_error_ned_m_s", np.zeros_like(self.vel_ned_m_s))
 
 
 class Monitor(Protocol):

@@ -25,6 +25,7 @@ _TILTED_S = 0.3
 _FROZEN_S, _FROZEN_REPORTS = 1.5, 5
 _GAP_S, _GAP_MAX_S = 0.15, 5.0
 _KICK = 2.0  # times what the profile's acceleration makes of a velocity between two reports
+_LED_ASTRAY_S = 8.0  # a velocity wrong for 2.5 s at a time leads 1.7 times its error astray in 3 s; five deviations
 _REACH_S = 0.5  # no longer than this is a trusted position carried on by its velocity
 _LINK_SHARE = 0.8  # of pose_lost_s: a link that is silent is told before its vehicles are, one by one
 
@@ -36,6 +37,8 @@ class PoseJump:
     as being where it was. When the next reports take it back, as after a single bad packet, nothing has happened; when
     it lasts, its position is lost. A velocity that changes as no vehicle can is suspect as well: believed for one tick,
     it would lead the following positions astray.
+
+    A velocity that has been poor for seconds leads astray by itself: there the limit is wider by what that explains.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -52,10 +55,20 @@ class PoseJump:
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self.suspect: BoolArray = np.zeros(n, dtype=np.bool_)
         self._away_m: FloatArray = np.zeros(n)
+        self._allowed_m: FloatArray = np.full(n, self._limit_m)
         self._kick_m_s: FloatArray = np.zeros(n)
 
-    def take(self, poses: Poses, pose_ns: IntArray, now_ns: int) -> Poses:
-        """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones."""
+    def take(self, poses: Poses, pose_ns: IntArray, vel_rms_m_s: FloatArray, now_ns: int) -> Poses:
+        """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones.
+
+        Args:
+            poses: as reported.
+            pose_ns: when each was measured, shape (n,).
+            vel_rms_m_s: root mean square of the error of velocities that are known to be poor, shape (n,); zero for
+                all others.
+            now_ns: time of the tick.
+        """
+        self._allowed_m = np.hypot(self._limit_m, _LED_ASTRAY_S * vel_rms_m_s)
         new = self._at_ns == NEVER
         passed_s = np.where(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
         moved = poses.pos_team_ned_m - self._pos - 0.5 * (self._vel + poses.vel_ned_m_s) * passed_s
@@ -64,7 +77,7 @@ class PoseJump:
         gap_s = np.where(new, 0.0, (pose_ns - self._pose_ns) / SECOND_NS)
         gap_s = np.where(gap_s > _GAP_S, np.minimum(gap_s, _GAP_MAX_S), 0.0)
         away_m = np.linalg.norm(apart_m, axis=1)
-        away = ~(away_m <= self._limit_m + 0.5 * self._accel_m_s2 * gap_s**2)
+        away = ~(away_m <= self._allowed_m + 0.5 * self._accel_m_s2 * gap_s**2)
         kick_m_s = np.linalg.norm(poses.vel_ned_m_s - self._vel, axis=1)
         passed_s = passed_s[:, 0]
         away |= ~(kick_m_s * passed_s <= 0.5 * self._limit_m + _KICK * self._accel_m_s2 * passed_s**2)
@@ -92,8 +105,9 @@ class PoseJump:
         for vehicle in np.flatnonzero(self._lasts & ~self._told & ours & ~sight.excused).tolist():
             self._told[vehicle] = True
             away_m = self._away_m[vehicle]
-            what = f"its position is {away_m:.2f} m from where its velocity leads, limit {self._limit_m:.2g} m"
-            if away_m <= self._limit_m:
+            allowed_m = self._allowed_m[vehicle]
+            what = f"its position is {away_m:.2f} m from where its velocity leads, limit {allowed_m:.2g} m"
+            if away_m <= allowed_m:
                 what = f"its velocity has changed by {self._kick_m_s[vehicle]:.1f} m/s at once, more than a vehicle can"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 

@@ -82,7 +82,9 @@ class Wind:
         counts &= leans
         level = np.where(leans[:, None], quat, np.array([1.0, 0.0, 0.0, 0.0]))
         down_ned = frames.rotate(frames.rot_ned_from_frd(level), np.tile([0.0, 0.0, 1.0], (len(ours), 1)))
-        self.estimate.step(passed_s, sight.vel_ned_m_s, down_ned, sight.sent_ned_m_s, counts)
+        # A vehicle whose velocity is wrong leans to what it takes for its velocity, and that is no wind.
+        moves_m_s, told_m_s = (vel - sight.vel_error_ned_m_s for vel in (sight.vel_ned_m_s, sight.sent_ned_m_s))
+        self.estimate.step(passed_s, moves_m_s, down_ned, told_m_s, counts)
         mean_m_s, gust_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s)), self.estimate.gust_m_s
         limit = self._limit
         near = (

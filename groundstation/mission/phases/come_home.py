@@ -9,7 +9,7 @@ from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import PAD_TOLERANCE_M, Team
-from groundstation.mission.timing import SECOND_NS, Held
+from groundstation.mission.timing import SECOND_NS, There
 
 
 class ReturnPhase(PhaseState):
@@ -20,7 +20,7 @@ class ReturnPhase(PhaseState):
 
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
-        self._back = Held()
+        self._back = There(team.plan.size)
 
     def stood_still(self, held_ns: int) -> None:
         """The operator held it for a while."""
@@ -32,12 +32,12 @@ class ReturnPhase(PhaseState):
         team = self._team
         places_ned_m = team.places_ned_m(team.formation.gather_ned_m)
         offset_m = np.linalg.norm(poses.pos_team_ned_m - places_ned_m, axis=1)
-        away = (offset_m >= team.tolerance_m(PAD_TOLERANCE_M)) & team.fleet.armed
-        away &= team.roster.waited_for & ~(team.board.blind | team.landing.lost(now_ns))
+        waited_for = team.roster.waited_for & team.fleet.armed & ~(team.board.blind | team.landing.lost(now_ns))
+        away = ~self._back(np.where(waited_for, offset_m, 0.0), team.tolerance_m(PAD_TOLERANCE_M), now_ns)
         event = None
-        if self._back(not away.any(), now_ns):
+        if not away.any():
             event = Event.BACK
-        elif away.any() and now_ns - self.since_ns >= team.plan.spec.land.timeout_s * SECOND_NS:
+        elif now_ns - self.since_ns >= team.plan.spec.land.timeout_s * SECOND_NS:
             names = ", ".join(
                 f"vehicle {team.fleet.sysid[row]} is {offset_m[row]:.2f} m from its place"
                 for row in np.flatnonzero(away).tolist()

@@ -36,7 +36,7 @@ class FormationPhase(PhaseState):
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Flies the formation; those that have dropped out fly apart."""
         team, formation = self._team, self._team.formation
-        tick = formation.step(now_ns, poses, team.absent(), team.board.wind.sway_m)
+        tick = formation.step(now_ns, poses, team.absent(), team.board.sway_m)
         words = team.preflight.checks.turns.words(formation.role_of_agent, formation.formation.points_enu_m)
         if words is not None:
             team.verdict.note("alarm", words)

@@ -11,7 +11,7 @@ from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team
-from groundstation.mission.timing import SECOND_NS, Held
+from groundstation.mission.timing import SECOND_NS, There
 
 _TOLERANCE_M = 0.1
 
@@ -25,7 +25,7 @@ class TakeoffPhase(PhaseState):
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
         self._climb = Climb(team.plan, team.roster, team.helm.guide.beside_m, team.standing)
-        self._there = Held()
+        self._there = There(team.plan.size)
 
     def leave(self, to: Phase) -> None:
         """A takeoff that is asked again now would be obeyed; whoever does not go on to climb gets setpoints."""
@@ -44,11 +44,12 @@ class TakeoffPhase(PhaseState):
         offset_m = np.linalg.norm(poses.pos_team_ned_m - gather_ned_m, axis=1)
         height_m, target_m = team.height_m(poses.pos_team_ned_m), team.height_m(gather_ned_m)
         self._climb.step(now_ns, team.fleet, team.station.commands, height_m, target_m)
-        there = bool(((offset_m < team.tolerance_m(_TOLERANCE_M)) & ~team.roster.climbing).all())
+        to_go_m = np.where(team.roster.climbing, np.inf, offset_m)
+        there = self._there(to_go_m, team.tolerance_m(_TOLERANCE_M), now_ns)
         event = None
-        if self._there(there, now_ns):
+        if there.all():
             event = event_of(team.formation.next_step(now_ns, poses))
-        elif not there and now_ns - self.since_ns >= team.plan.spec.takeoff.timeout_s * SECOND_NS:
+        elif now_ns - self.since_ns >= team.plan.spec.takeoff.timeout_s * SECOND_NS:
             said = team.words.by_vehicle()
             late = ", ".join(
                 f"{team.name(i)} is {offset_m[i]:.2f} m from its place" + (f": {said[i]}" if i in said else "")

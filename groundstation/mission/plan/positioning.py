@@ -24,13 +24,13 @@ each other, which is three standard deviations of a difference."""
 _WANDER_M_S = 0.04
 """Standard deviation of a velocity that GPS and IMU do not notice: at zero command vehicles were seen to wander by up
 to 2.5 m a minute."""
-_DEVIATIONS = 3.0
+DEVIATIONS = 3.0
 _TINY = 1e-6
 
 
 def margin_m(position_error_m: float) -> float:
     """What is added to r: three standard deviations of the distance of two positions that are off on their own."""
-    return _DEVIATIONS * math.sqrt(2.0) * position_error_m
+    return DEVIATIONS * math.sqrt(2.0) * position_error_m
 
 
 def margin_deviations(position_error_m: float, velocity_error_m_s: float, horizon_s: float) -> float:
@@ -50,7 +50,7 @@ def margin_deviations(position_error_m: float, velocity_error_m_s: float, horizo
 
 def tolerance_min_m(rate_1_s: float) -> float:
     """How far off a distance stays under a law that takes errors back at a rate, both vehicles wandering by GPS."""
-    return _DEVIATIONS * math.sqrt(2.0) * _WANDER_M_S / rate_1_s
+    return DEVIATIONS * math.sqrt(2.0) * _WANDER_M_S / rate_1_s
 
 
 def check_tolerances(source: str, spec: MissionSpec, rate_1_s: float) -> None:

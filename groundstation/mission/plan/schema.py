@@ -276,6 +276,7 @@ class _FlightLimits(_Strict):
     tilt_deg: Annotated[Number, Field(ge=10, le=180)] = 60.0
     fence_beyond_m: Positive = 0.3
     tracking_m_s: Positive | None = None
+    velocity_error_m_s: Positive = 0.7  # twice what PX4's simulator has, which is flown
     late_s: Positive = 1.0
     lost_radius_m: NotNegative | None = None
 

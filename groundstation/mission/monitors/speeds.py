@@ -1,0 +1,105 @@
+"""Velocities that disagree with the positions beside them: told, flown by both, and brought home when hopeless.
+
+A vehicle steers by its own velocity, so when that is wrong by b, it moves by what it was told less b. Where its
+velocity has been seen to disagree for seconds, everybody reckons with it less b, it is told b more than it is wanted to
+do, the others keep farther from it, and places and distances count as reached a little sooner. Where velocities agree
+nothing changes, to the last bit.
+
+Which of the two is wrong, a single disagreement does not tell. A velocity that came and went in its error before is the
+one that is wrong; a position that leaves a velocity that was good until then is not believed (``positions.PoseJump``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from groundstation.core.speeds import DISAGREES_M_S, Speeds
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.vehicle import NEVER
+from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
+
+_LASTS_S = 1.0
+_SWAY_DEVIATIONS = 2.0
+_FRESH_S = 0.3  # older positions are carried on by the very velocity that is judged
+
+
+class PoorSpeeds:
+    """How good the vehicles' velocities are."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self._limit_m_s, self._fastest_m_s = plan.spec.limits.velocity_error_m_s, plan.spec.speed_limit_m_s
+        self._settle_s = plan.profile.lag_s + plan.profile.delay_s
+        self._speeds = Speeds(plan.size)
+        self._last_ns = NEVER
+        self._poor, self._hopeless = Lasting(plan.size, _LASTS_S), Lasting(plan.size, _LASTS_S)
+
+    def take(self, poses: Poses, pose_ns: IntArray, counts: BoolArray, now_ns: int) -> None:
+        """Takes the poses of a tick, as reported; ``counts``: in the air and not suspect, shape (n,)."""
+        passed_s = (now_ns - self._last_ns) / SECOND_NS if self._last_ns != NEVER else 0.0
+        self._last_ns = now_ns
+        if not passed_s > 0.0:
+            return
+        fresh = now_ns - pose_ns <= _FRESH_S * SECOND_NS
+        counts = np.asarray(counts & fresh, dtype=np.bool_)
+        self._speeds.take(poses.pos_team_ned_m, poses.vel_ned_m_s, passed_s, counts)
+
+    @property
+    def known_error_ned_m_s(self) -> FloatArray:
+        """What poor velocities are off by at the moment, shape (n, 3); zero where they agree with the positions."""
+        return self._speeds.known_error_ned_m_s
+
+    @property
+    def told_error_m_s(self) -> FloatArray:
+        """Root mean square of each velocity's error over 10 s, all axes; 0 until it is known, shape (n,)."""
+        return self._speeds.rms_m_s
+
+    @property
+    def rms_m_s(self) -> FloatArray:
+        """The same as far as it is reckoned with: zero where velocities and positions agree, shape (n,)."""
+        return np.asarray(self._speeds.share * self._speeds.rms_m_s)
+
+    @property
+    def sway_m(self) -> float:
+        """How far distances may sway by what stays wrong; 0 where all velocities agree."""
+        return float(_SWAY_DEVIATIONS * self._settle_s * self._speeds.left_m_s.max(initial=0.0))
+
+    def steady(self, poses: Poses, suspect: BoolArray) -> Poses:
+        """Poses to steer by: velocities less their error, with what stays wrong of them.
+
+        Args:
+            poses: as they are trusted.
+            suspect: whose velocity is not the reported one, shape (n,); it stays.
+        """
+        if not self._speeds.share.any():
+            return poses
+        return replace(
+            poses,
+            vel_ned_m_s=poses.vel_ned_m_s - np.where(suspect[:, None], 0.0, self._speeds.known_error_ned_m_s),
+            vel_error_m_s=self._speeds.left_m_s,
+        )
+
+    def told(self, velocity_ned_m_s: FloatArray) -> FloatArray:
+        """What vehicles are told so that they move as wanted, shape (n, 3), within the speed limit."""
+        share = self._speeds.share
+        if not share.any():
+            return velocity_ned_m_s
+        told = velocity_ned_m_s + self._speeds.known_error_ned_m_s
+        most = np.maximum(self._fastest_m_s, 1e-12) / np.maximum(np.linalg.norm(told, axis=1), 1e-12)
+        return np.asarray(np.where((share > 0.0)[:, None], told * np.minimum(1.0, most)[:, None], velocity_ned_m_s))
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Tells of poor velocities, and brings those home that are hopeless."""
+        rms_m_s = self._speeds.rms_m_s
+        judged = sight.airborne & ours & ~sight.excused & ~sight.blind
+        for vehicle in self._hopeless(judged & (rms_m_s > self._limit_m_s), sight.now_ns):
+            what = f"its velocity is wrong: {rms_m_s[vehicle]:.2f} m/s off what its positions do"
+            yield Finding(Reaction.HOME, f"{what}, limit {self._limit_m_s:.2g} m/s", (vehicle,))
+        for vehicle in self._poor(judged & (rms_m_s > DISAGREES_M_S), sight.now_ns):
+            what = f"its velocity is poor: {rms_m_s[vehicle]:.2f} m/s off what its positions do; it is flown by both"
+            yield Finding(Reaction.SAY, what, (vehicle,))
