@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "command": ("command", "Give an order to a flight in another terminal: hold, return, land, kill."),
     "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),
     "check": ("fly", "Check a mission and its vehicles on their pads; arm nothing."),
+    "params": ("params", "Keep the parameters of a mission's vehicles, compare them, give them back."),
     "signing": ("signing", "Make a key that MAVLink frames are signed with, give it to vehicles."),
     "design": ("design", "Design the gains of a formation."),
     "sitl": ("sitl", "Run emulated vehicles for any ground station."),

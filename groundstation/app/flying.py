@@ -24,6 +24,7 @@ from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.order_client import runtime_folder
 from groundstation.app.order_socket import OrderSocket
 from groundstation.app.output import Output
+from groundstation.app.param_keeping import BeforeKeeper, Lines, before_path, offer_back
 from groundstation.app.progress import FlightDisplay, link_troubles
 from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate
@@ -225,8 +226,20 @@ def fly_vehicles(
     *,
     emulated_seed: int | None,
     take_over: bool,
+    give_back: bool = False,
 ) -> dict[str, Any]:
-    """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets."""
+    """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets.
+
+    Args:
+        out: shows the flight.
+        plan: what to fly.
+        log_path: where to record.
+        faults: that strike, of the emulator.
+        emulated_seed: of the emulator's noise; None for vehicles.
+        take_over: bring home vehicles that are in the air.
+        give_back: parameters that preflight has set are set back after the flight.
+    """
+    keeper = BeforeKeeper(before_path(log_path))
     with ExitStack() as stack:
         meter, emulated = None, emulated_seed is not None
         if emulated_seed is not None:
@@ -251,7 +264,7 @@ def fly_vehicles(
                 links,
                 flight.clock or FlightClock(),
                 period_ns=period_ns(plan),
-                watchers=(display, disk, laws, *(() if meter is None else (meter,))),
+                watchers=(display, disk, laws, keeper, *(() if meter is None else (meter,))),
                 interrupts=interrupts,
                 controls=controls,
             )
@@ -265,8 +278,13 @@ def fly_vehicles(
         if meter is not None:
             values |= meter.figures()
             record["move_error_m"] = meter.move_error_m
+        back = Lines(links, flight.clock, gate) if give_back and flight.clock is not None else None
+        for line in offer_back(out, plan, keeper, back):
+            out.console.print(Text(line, style="bold red"))
     values["log_complete"] = _complete(flight.log)
     _finish(out, log_path, flight.manifest, values | record)
+    if keeper.kept:
+        values["parameters_before"] = str(keeper.path)
     return values | {"beside": record}
 
 

@@ -92,6 +92,12 @@ class Told:
         """What the team does when the ground station is gone."""
         return self._team.preflight.checks.failsafe
 
+    @property
+    def parameters_before(self) -> dict[int, dict[str, tuple[float, int]]]:
+        """Value and MAV_PARAM_TYPE of parameters that were set, as they were before, by system id and name."""
+        before = self._team.preflight.checks.parameters_before
+        return {sysid: dict(of) for sysid, of in zip(self.fleet.sysid.tolist(), before, strict=True) if of}
+
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""
         return self._team.verdict.take_notes()

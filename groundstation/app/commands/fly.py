@@ -32,6 +32,9 @@ def fly(
     ] = False,
     log: Annotated[Path | None, typer.Option(help="Log to record (.tlog); one in flights/ by default.")] = None,
     fix: FixOption = False,
+    give_back: Annotated[
+        bool, typer.Option("--restore", help="After the flight, set parameters back that --fix has set.")
+    ] = False,
     changes: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -52,6 +55,8 @@ def fly(
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
     if take_over and dry_run:
         raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
+    if give_back and dry_run and not udp:
+        raise UserError("--restore: a dry run in virtual time sets no parameters; leave it out")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), with_fix(changes, fix=fix))
@@ -64,7 +69,13 @@ def fly(
         values = fly_dry(out, plan, log_path, timetable, seed=seed, realtime=realtime)
     else:
         values = fly_vehicles(
-            out, plan, log_path, timetable, emulated_seed=seed if dry_run else None, take_over=take_over
+            out,
+            plan,
+            log_path,
+            timetable,
+            emulated_seed=seed if dry_run else None,
+            take_over=take_over,
+            give_back=give_back,
         )
     refused, beside = values.pop("refused"), values.pop("beside")
     values["wall_s"] = round(time.monotonic() - started, 3)
@@ -84,6 +95,7 @@ def check(
     from groundstation.app.flying import judged, period_ns, refusal, refused_frames, with_fix
     from groundstation.app.loop import FlightClock, Interrupts, fly_real
     from groundstation.app.opening import open_flight
+    from groundstation.app.param_keeping import BeforeKeeper, before_path, offer_back
     from groundstation.app.progress import FlightDisplay, link_troubles
     from groundstation.app.resources import find_config
     from groundstation.app.session import Session
@@ -92,6 +104,7 @@ def check(
     out = Output(as_json=as_json)
     plan = judged(out, find_config(mission, "missions"), with_fix(changes, fix=fix))
     interrupts = Interrupts()
+    keeper = BeforeKeeper(before_path(Path("flights") / f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}.tlog"))
     with ExitStack() as stack:
         purpose = Purpose.PREPARE if fix else Purpose.LOOK
         flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
@@ -102,7 +115,7 @@ def check(
             flight.links,
             flight.clock or FlightClock(),
             period_ns=period_ns(plan),
-            watchers=(display,),
+            watchers=(display, keeper),
             interrupts=interrupts,
         )
         troubles = link_troubles(flight.links)
@@ -112,6 +125,7 @@ def check(
         out.console.print(f"{rates.words(plan.links[number], plan.link_of_vehicle.count(number))}, {signed}")
     rows = runner.check_rows()
     show_rows(out.console, rows)
+    offer_back(out, plan, keeper)
     refused = refused_frames(plan, gate)
     if runner.outcome == "completed":  # else they are among the reasons
         for line in refused:
@@ -124,6 +138,7 @@ def check(
             "signing": refused,
             "failsafe": runner.failsafe.words,
             "vehicles": rows_as_values(rows),
+            **({"parameters_before": str(keeper.path)} if keeper.kept else {}),
         }
     )
     if runner.outcome != "completed":

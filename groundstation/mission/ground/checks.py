@@ -91,6 +91,11 @@ class Checks:
             self._ask_once("estimator", autopilot.estimator_message, vehicle, now_ns)
         self._parameters.step(vehicle)
 
+    @property
+    def parameters_before(self) -> list[dict[str, tuple[float, int]]]:
+        """What was set in each vehicle, as it was before, see ``ParameterCheck.before``."""
+        return self._parameters.before
+
     def armed(self, vehicle: int) -> None:
         """Takes note that a vehicle is armed: nothing is set in it any more."""
         self._parameters.stop(vehicle)

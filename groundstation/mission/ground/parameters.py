@@ -45,12 +45,16 @@ class ParameterCheck:
         station: what is asked goes out by it.
         failsafe: what is asked of each vehicle.
         look_only: set nothing, also where the mission says so; what a flight would set is told and not refused.
+
+    Attributes:
+        before: of each vehicle, value and MAV_PARAM_TYPE of what was set, as they were before anything was.
     """
 
     def __init__(self, plan: MissionPlan, station: Station, failsafe: FailsafePlan, *, look_only: bool = False) -> None:
         self._plan, self._station = plan, station
         self._sets = plan.spec.failsafe.set_parameters and not look_only
         self._sets_later = plan.spec.failsafe.set_parameters and look_only
+        self.before: list[dict[str, tuple[float, int]]] = [{} for _ in range(plan.size)]
         self._vehicles = [_Vehicle() for _ in range(plan.size)]
         self._rules = [plan.autopilots[i].failsafes.rules(failsafe.wishes[i]) for i in range(plan.size)]
         for vehicle in range(plan.size):
@@ -201,6 +205,7 @@ class ParameterCheck:
                 of.tries[finding.name] = _TRIES
                 continue
             of.before.setdefault(finding.name, values[finding.name])
+            self.before[vehicle].setdefault(finding.name, (values[finding.name], told.kind))
             of.tries[finding.name] = of.tries.get(finding.name, 0) + 1
             desk.write(vehicle, finding.name, bits, told.kind)
             busy = True
