@@ -7,7 +7,8 @@ import signal
 import sys
 
 _WRONG_SYSTEM = 2
-_STOPPED = 130  # what shells report for a program ended by Ctrl-C
+STOPPED = 130  # what shells report for a program ended by Ctrl-C
+STOPPED_WORDS = "gs: stopped by Ctrl-C\n"
 
 
 def main() -> None:
@@ -21,8 +22,8 @@ def main() -> None:
         run()
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever presses twice wants the same
-        sys.stderr.write("gs: stopped by Ctrl-C\n")
-        sys.exit(_STOPPED)
+        sys.stderr.write(STOPPED_WORDS)
+        sys.exit(STOPPED)
 
 
 if __name__ == "__main__":

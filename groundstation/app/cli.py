@@ -12,7 +12,9 @@ from importlib import import_module
 import typer
 from rich.console import Console
 from rich.text import Text
+from typer._click.exceptions import ClickException
 
+from groundstation.__main__ import STOPPED, STOPPED_WORDS
 from groundstation.app.commands.completion import COMPLETE_VARIABLE, install_completion
 from groundstation.app.output import Output, SteadyConsole, flush_streams, hold_streams
 from groundstation.core.errors import UserError
@@ -81,6 +83,12 @@ def words_to_complete() -> list[str]:
     return line.split()[1:]
 
 
+def _answer(arguments: list[str], words: str, exit_code: int) -> None:
+    """Gives a program that asked for JSON its object, where the command could not."""
+    if "--json" in arguments:
+        Output(as_json=True).result({"error": words, "exit_code": exit_code})
+
+
 def main() -> None:
     """Entry point of ``gs``."""
     hold_streams()
@@ -92,11 +100,20 @@ def main() -> None:
         return
     called = next((argument for argument in arguments or words_to_complete() if not argument.startswith("-")), None)
     try:
-        build(called)(args=arguments, prog_name="gs", complete_var=COMPLETE_VARIABLE)
+        ended = build(called)(args=arguments, prog_name="gs", complete_var=COMPLETE_VARIABLE, standalone_mode=False)
+        if ended == STOPPED:
+            sys.stderr.write(STOPPED_WORDS)
+            _answer(arguments, STOPPED_WORDS.removeprefix("gs: ").strip(), STOPPED)
+        if isinstance(ended, int) and ended:  # commands return nothing; this is what typer ended with
+            sys.exit(ended)
+    except ClickException as error:  # words on the command line that are none
+        error.show()
+        _answer(arguments, error.format_message(), error.exit_code)
+        sys.exit(error.exit_code)
     except UserError as error:
         SteadyConsole(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))
-        if "--json" in arguments and not error.answered:
-            Output(as_json=True).result({"error": str(error), "exit_code": error.exit_code})
+        if not error.answered:
+            _answer(arguments, str(error), error.exit_code)
         sys.exit(error.exit_code)
     finally:
         flush_streams()

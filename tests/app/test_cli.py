@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -189,6 +190,56 @@ def test_the_overview_names_every_command(monkeypatch: pytest.MonkeyPatch, capsy
     for name in cli.COMMANDS:
         assert f"  {name} " in out
         assert gs([name, "--help"], monkeypatch, capsys)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (["fly", "--json"], "Missing option '--mission'"),
+        (["fly", "--mission", "cube8", "--dryrun", "--json"], "No such option: --dryrun"),
+        (["fly", "--mission", "cube8", "--seed", "x", "--json"], "--seed"),
+        (["fyl", "--json"], "No such command 'fyl'"),
+        (["sitl", "--port", "x", "--json"], "--port"),
+        (["sitl", "--noise", "x", "--json"], "--noise: 'x' is unknown"),
+        (["design", "--json"], "FORMATION"),
+        (["missions", "extra", "--json"], "extra"),
+    ],
+)
+def test_wrong_usage_is_answered_in_json_too(
+    words: list[str], answer: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = gs(words, monkeypatch, capsys)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["exit_code"]) == (2, 2)
+    assert answer.lower() in values["error"].lower()
+    assert err
+    assert "Traceback" not in err
+
+
+def test_an_emulator_tells_what_it_sent_when_it_ends(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sitl.server.Server.run", lambda server, stop, look: None)  # Ctrl-C at once
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        code, out, _ = gs(["sitl", "--vehicles", "2", "--port", "14987", "--json"], monkeypatch, capsys)
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+            signal.signal(number, handler)
+    values = json.loads(out.splitlines()[-1])
+    assert (code, values["vehicles"], values["datagrams_sent"]) == (0, 2, 0)
+
+
+def test_ctrl_c_in_a_command_is_a_word_and_an_answer(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def struck(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("groundstation.design.store.load_formation", struck)
+    code, out, err = gs(["design", "cube8", "--json"], monkeypatch, capsys)
+    assert (code, err) == (130, "gs: stopped by Ctrl-C\n")
+    assert json.loads(out)["exit_code"] == 130
 
 
 def test_json_is_strict() -> None:

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 
 _LISTED = "a wrong name lists all that there are"
@@ -59,6 +60,7 @@ def sitl(
     signing: Annotated[
         Path | None, typer.Option("--signing", help="Key file: the vehicles sign, and obey signed frames only.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Emulates vehicles with their autopilots and sends them to a UDP port of this machine."""
     from rich.live import Live
@@ -69,7 +71,7 @@ def sitl(
         vehicles, autopilot, port, seed, faults, orders, port_per_vehicle, profile, noise, streams, gps, spacing_m,
         wind, gusts, downwash, speed, tcp_port, mavlink, real_boot, signing,
     )  # fmt: skip
-    out = Output(as_json=False)
+    out = Output(as_json=as_json)
     stop = Event()
     with open_server(options) as server:
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -85,3 +87,12 @@ def sitl(
         else:
             server.run(stop, lambda running: tell_errors(out, running))
         out.console.print(f"stopped; {server.datagrams_out} datagrams sent, {server.datagrams_in} received")
+        out.result(
+            {
+                "vehicles": vehicles,
+                "autopilot": autopilot,
+                "seed": seed,
+                "datagrams_sent": server.datagrams_out,
+                "datagrams_received": server.datagrams_in,
+            }
+        )
