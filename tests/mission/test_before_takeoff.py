@@ -19,9 +19,8 @@ from groundstation.mission.ground.preflight import GroundState, Preflight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 from tests.app.flights import pair
+from tests.mission.on_pads import looked_at, standing
 
-LAT_DEG, LON_DEG, HEIGHT_M = 47.0, 8.0, 400.0
-EAST_5_M_DEG = 5.0 / (6_388_700.0 * math.cos(math.radians(LAT_DEG)) * math.pi / 180.0)  # radius across the meridian
 AHRS = 0x200000
 
 
@@ -33,23 +32,8 @@ def plan() -> MissionPlan:
 
 @pytest.fixture
 def fleet(plan: MissionPlan) -> Fleet:
-    """Both stand on their pads, 5 m apart, where their local frames begin; all of it was told at 1 s."""
-    fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
-    fleet.place_deg_m[:] = [(LAT_DEG, LON_DEG, HEIGHT_M), (LAT_DEG, LON_DEG + EAST_5_M_DEG, HEIGHT_M)]
-    fleet.origin_deg_m[:] = fleet.place_deg_m
-    fleet.pos_local_ned_m[:] = fleet.vel_ned_m_s[:] = fleet.place_vel_ned_m_s[:] = 0.0
-    for told_ns in (fleet.pose_ns, fleet.place_ns, fleet.attitude_ns, fleet.heard_ns, fleet.heartbeat_ns):
-        told_ns[:] = SECOND_NS
-    fleet.mav_type[:] = 2  # MAV_TYPE_QUADROTOR
-    fleet.autopilot[:] = [autopilot.mav_autopilot for autopilot in plan.autopilots]
-    fleet.landed_state[:] = LANDED_ON_GROUND
-    return fleet
-
-
-def _frame(plan: MissionPlan, fleet: Fleet) -> TeamFrame:
-    frame = TeamFrame(plan)
-    frame.placement.look(fleet, SECOND_NS)
-    return frame
+    """Both stand on their pads and are well."""
+    return standing(plan)
 
 
 # Where the team is
@@ -67,7 +51,7 @@ def test_axes_of_a_vehicle_that_looks_east_are_east_north_and_up() -> None:
 
 def test_the_frame_hangs_on_the_first_pad_and_heights_count_from_the_pads(plan: MissionPlan, fleet: Fleet) -> None:
     fleet.origin_deg_m[1, 2] += 7.0
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     before = frame.poses(fleet, SECOND_NS).pos_team_ned_m
     np.testing.assert_allclose(before, [(0.0, -2.5, 0.0), (0.0, 2.5, -7.0)], atol=0.02)
     np.testing.assert_allclose(frame.off_pad_m(before), [0.0, 7.0 / 3.0], atol=0.02)
@@ -82,7 +66,7 @@ def test_the_frame_hangs_on_the_first_pad_and_heights_count_from_the_pads(plan: 
 def test_a_position_is_brought_to_the_tick_by_its_velocity_no_further_than_its_age_may_be(
     plan: MissionPlan, fleet: Fleet
 ) -> None:
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     fleet.vel_ned_m_s[0] = (2.0, 0.0, -1.0)
     for now_s, way_s in ((0.9, 0.0), (1.0, 0.0), (1.2, 0.2), (9.0, 0.5)):
         at = frame.poses(fleet, round(now_s * SECOND_NS)).pos_team_ned_m[0]
@@ -90,7 +74,7 @@ def test_a_position_is_brought_to_the_tick_by_its_velocity_no_further_than_its_a
 
 
 def test_a_pose_is_as_old_as_the_older_of_position_and_attitude(plan: MissionPlan, fleet: Fleet) -> None:
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     fleet.pose_ns[:], fleet.attitude_ns[:] = (50, 80), (70, 30)
     assert frame.pose_ns(fleet).tolist() == [50, 30]
     fleet.attitude_ns[0] = NEVER
@@ -98,7 +82,7 @@ def test_a_pose_is_as_old_as_the_older_of_position_and_attitude(plan: MissionPla
 
 
 def test_two_positions_that_disagree_count_when_they_do_so_twice(plan: MissionPlan, fleet: Fleet) -> None:
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     assert np.isnan(frame.drift_m(fleet, SECOND_NS)).all()  # one comparison says nothing
     fleet.place_ns[:] = fleet.pose_ns[:] = 2 * SECOND_NS
     fleet.pos_local_ned_m[1, 0] = 4.0
@@ -293,7 +277,7 @@ def _looked(preflight: Preflight, frame: TeamFrame, fleet: Fleet, now_ns: int) -
 
 
 def test_each_vehicle_is_told_the_first_thing_that_is_wrong_with_it(plan: MissionPlan, fleet: Fleet) -> None:
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     preflight = Preflight(plan, Station(fleet, 0), frame)
     heard_s = plan.spec.limits.heartbeat_age_s
     fleet.heard_ns[1] = fleet.heartbeat_ns[1] = fleet.pose_ns[1] = fleet.attitude_ns[1] = 20 * SECOND_NS
@@ -321,7 +305,7 @@ def test_each_vehicle_is_told_the_first_thing_that_is_wrong_with_it(plan: Missio
 def test_one_that_is_armed_is_refused_when_it_is_known_whether_it_flies(
     plan: MissionPlan, fleet: Fleet, landed: int, words: str
 ) -> None:
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     preflight = Preflight(plan, Station(fleet, 0), frame)
     fleet.armed[1], fleet.landed_state[1] = True, landed
     for now_s, fatal in ((1.0, 0), (3.9, 0), (4.0, 1)):
