@@ -138,7 +138,10 @@ def test_heights_by_global_positions_are_settled_on_the_pads_and_have_no_local_o
     frame.settle(fleet, SECOND_NS)
     np.testing.assert_allclose(frame.poses(fleet, SECOND_NS).pos_team_ned_m, [WEST, EAST], atol=0.02)
     assert np.isnan(frame.local_origins_enu_m()).all(axis=1).tolist() == [True, False]
-    assert np.isnan(frame.drift_m(fleet, SECOND_NS)[0])  # it has one position only: nothing can disagree
+    for now_s in (1, 2, 3):
+        fleet.place_ns[:] = fleet.pose_ns[:] = now_s * SECOND_NS
+        drift_m = frame.drift_m(fleet, now_s * SECOND_NS)
+    assert np.isnan(drift_m).tolist() == [True, False]  # it has one position only: nothing can disagree
 
 
 def test_how_far_places_on_earth_are_from_the_pads_is_told_of_late_ones_alone(plan: MissionPlan) -> None:
@@ -153,6 +156,39 @@ def test_how_far_places_on_earth_are_from_the_pads_is_told_of_late_ones_alone(pl
     fleet.place_ns[:] = 3 * SECOND_NS
     fleet.place_deg_m[1, :2] = (-LAT_DEG, LON_DEG - 180.0)  # right through the earth
     assert frame.off_pad_on_earth_m(fleet, 3 * SECOND_NS, SECOND_NS)[1] > 12e6
+
+
+def test_two_positions_are_compared_where_the_global_one_was_measured(plan: MissionPlan) -> None:
+    fleet = standing(plan)
+    frame = looked_at(plan, fleet)
+    fleet.vel_ned_m_s[1, 0] = 10.0
+    for now_s in (21, 22):
+        fleet.place_ns[:] = now_s * SECOND_NS
+        fleet.pose_ns[:] = now_s * SECOND_NS - SECOND_NS // 10  # it has gone 1 m since that position
+        drift_m = frame.drift_m(fleet, now_s * SECOND_NS)
+    np.testing.assert_allclose(drift_m, [0.0, 1.0], atol=0.02)
+
+
+def test_over_a_narrow_link_an_attitude_may_be_older_than_the_position() -> None:
+    plan = pair("link_bytes_per_s={'udpin://0.0.0.0:14540': 1000}")
+    assert [plan.rates_of(vehicle).lean for vehicle in (0, 1)] == [True, False]
+    fleet = standing(plan)
+    frame = looked_at(plan, fleet)
+    late_ns = round(4.0 / plan.rates_of(0).attitude_hz * SECOND_NS)
+    fleet.pose_ns[:], fleet.attitude_ns[:] = 10 * SECOND_NS, 9 * SECOND_NS
+    assert frame.pose_ns(fleet).tolist() == [min(9 * SECOND_NS + late_ns, 10 * SECOND_NS), 9 * SECOND_NS]
+    fleet.pose_ns[:] = 20 * SECOND_NS
+    assert frame.pose_ns(fleet)[0] == 9 * SECOND_NS + late_ns
+
+
+def test_a_frame_that_is_declared_to_be_the_teams_is_left_as_it_is() -> None:
+    plan = pair("vehicles.1.origin=team")
+    fleet = standing(plan)
+    fleet.pos_local_ned_m[1] = (0.1, 2.4, 0.0)
+    frame = looked_at(plan, fleet)
+    frame.settle(fleet, SECOND_NS)
+    np.testing.assert_allclose(frame.poses(fleet, SECOND_NS).pos_team_ned_m, [WEST, (0.1, 2.4, 0.0)], atol=0.02)
+    assert [line[:10] for line in frame.words()] == ["vehicle 1:"]  # what the mission itself says is not told
 
 
 def test_by_gps_a_frame_that_is_only_declared_is_shifted_to_the_pad_altogether() -> None:
