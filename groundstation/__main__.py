@@ -6,9 +6,9 @@ Loads nothing before Ctrl-C is looked after, so that an early one ends in a word
 import signal
 import sys
 
+from groundstation.app.stopped import STOPPED, STOPPED_WORDS
+
 _WRONG_SYSTEM = 2
-STOPPED = 130  # what shells report for a program ended by Ctrl-C
-STOPPED_WORDS = "gs: stopped by Ctrl-C\n"
 
 
 def main() -> None:

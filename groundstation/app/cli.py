@@ -14,9 +14,9 @@ from rich.console import Console
 from rich.text import Text
 from typer._click.exceptions import ClickException
 
-from groundstation.__main__ import STOPPED, STOPPED_WORDS
 from groundstation.app.commands.completion import COMPLETE_VARIABLE, install_completion
 from groundstation.app.output import Output, SteadyConsole, flush_streams, hold_streams
+from groundstation.app.stopped import STOPPED, STOPPED_WORDS
 from groundstation.core.errors import UserError
 
 COMMANDS: dict[str, tuple[str, str]] = {
