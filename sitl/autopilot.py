@@ -16,6 +16,7 @@ from sitl.mission import MissionFlight
 from sitl.outfit import Outfit
 from sitl.protocol import Protocol
 from sitl.setpoints import NOTHING, Setpoint
+from sitl.traits import Traits
 from sitl.vision import Vision
 from sitl.wire import whole
 
@@ -24,7 +25,7 @@ LANDED, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 _LIFTED_M = 0.03
 
 
-class Autopilot(Protocol):
+class Autopilot(Protocol, Traits):
     """One vehicle's flight state.
 
     Attributes:
@@ -39,7 +40,6 @@ class Autopilot(Protocol):
         super().__init__(body, config, outfit)
         self.boot, self._rates_hz = outfit.boot, outfit.rates_hz
         self.boot_ns = body.now_ns
-        self.powered = True
         self.armed, self.armed_ns = False, 0
         self.landed, self.landed_ns = True, body.now_ns
         self.taken_off = False
@@ -49,7 +49,7 @@ class Autopilot(Protocol):
         self._beating = False
         self._contact_since_ns: int | None = None
         endurance = body.profile.hover_endurance_s
-        self.flight = MissionFlight(self)
+        self.mission_flight = MissionFlight(self)
         self.battery = Battery(endurance) if endurance > 600 else Battery(endurance, 1, 250.0)
         self.commands.update(
             {
@@ -61,68 +61,13 @@ class Autopilot(Protocol):
             }
         )
 
-    # -- what the personality tells -----------------------------------------------------------------------------
-
-    def mode_name(self) -> str:
-        """Name of the mode, for people."""
-        raise NotImplementedError
-
-    def base_mode(self) -> int:
-        """MAV_MODE_FLAG bits of the heartbeat."""
-        raise NotImplementedError
-
-    def custom_mode(self) -> int:
-        """Mode number of the heartbeat."""
-        raise NotImplementedError
-
-    def system_status(self) -> int:
-        """MAV_STATE of the heartbeat."""
-        raise NotImplementedError
-
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
         return LANDED if self.landed else IN_AIR
 
-    def sensor_bits(self) -> tuple[int, int, int]:
-        """SYS_STATUS sensors: present, enabled, healthy."""
-        raise NotImplementedError
-
-    def update(self, now_ns: int) -> None:
-        """Lets the modes act; called every tick once the vehicle is up."""
-        raise NotImplementedError
-
-    def arm_refusal(self) -> str | None:
-        """Why arming is refused, None when it is not; an empty string is a refusal without words."""
-        raise NotImplementedError
-
-    def wants_up(self) -> bool:
-        """Whether the present mode wants to leave the ground."""
-        raise NotImplementedError
-
-    def wants_down(self) -> bool:
-        """Whether the present mode pushes towards the ground."""
-        raise NotImplementedError
-
-    first_item_is_home = False
-
-    def vision_enabled(self) -> bool:
-        """Whether the parameters let the estimator take positions from outside."""
-        raise NotImplementedError
-
     def vision_has_origin(self) -> bool:
-        """Whether positions from outside may be used before somebody has set an origin."""
-        return True
-
-    def mission_over(self) -> None:
-        """Called every tick after the last item of a mission."""
-
-    def mission_lands(self) -> None:
-        """Called when a mission asks to land here."""
-        raise NotImplementedError
-
-    def mission_returns(self) -> None:
-        """Called when a mission asks to return."""
-        raise NotImplementedError
+        """Whether positions from outside may be used already."""
+        return self.body.senses.has_origin or not self.vision_needs_origin
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -149,8 +94,6 @@ class Autopilot(Protocol):
     def tick(self, now_ns: int, dt_s: float) -> None:
         """Runs everything that does not wait for a message, every 20 ms."""
         body = self.body
-        if not self.powered:
-            return
         if not body.link.talking and self.age_ns >= self.boot.stream_ns:
             body.link.talking = True
             body.link.set_rates({**self._rates_hz, "HEARTBEAT": 0.0})
@@ -171,9 +114,6 @@ class Autopilot(Protocol):
             self.mission.ask_again()
         self._detect_landing(now_ns)
         self.update(now_ns)
-
-    def started(self) -> None:
-        """Called once, when the vehicle sends its first bytes."""
 
     def _look_for_position(self) -> None:
         if not self.body.senses.has_gps:
@@ -217,14 +157,6 @@ class Autopilot(Protocol):
         if params[0] == 1.0:
             return self.try_arm(forced)
         return self.try_disarm(forced)
-
-    def try_arm(self, forced: bool) -> int:
-        """Arms on request. Returns the MAV_RESULT."""
-        raise NotImplementedError
-
-    def try_disarm(self, forced: bool) -> int:
-        """Disarms on request. Returns the MAV_RESULT."""
-        raise NotImplementedError
 
     def _terminate(self, params: tuple[float, ...], _frame: Frame) -> int:
         if params[0] >= 0.5:
@@ -271,6 +203,3 @@ class Autopilot(Protocol):
             self.landed, self.landed_ns = True, now_ns
             self.body.motors.flying = False
             self.touched_down()
-
-    def touched_down(self) -> None:
-        """Called when the land detector has decided."""

@@ -6,6 +6,7 @@ Refuses to know modes: what an autopilot does when a mission asks to land, to re
 from __future__ import annotations
 
 import math
+from enum import Enum
 from typing import Protocol
 
 from sitl.body import Body
@@ -22,6 +23,12 @@ _REACHED_M = 0.5
 Point = tuple[float, float, float]
 
 
+class MissionEnd(Enum):
+    """How a mission ends."""
+
+    OVER, LANDS, RETURNS = range(3)
+
+
 class Flown(Protocol):
     """An autopilot that flies missions."""
 
@@ -30,14 +37,8 @@ class Flown(Protocol):
     mission: MissionStore
     first_item_is_home: bool
 
-    def mission_over(self) -> None:
-        """Called every tick after the last item."""
-
-    def mission_lands(self) -> None:
-        """Called when a mission asks to land here."""
-
-    def mission_returns(self) -> None:
-        """Called when a mission asks to return."""
+    def mission_ends(self, end: MissionEnd) -> None:
+        """Called when the mission asks for it, and every tick after the last item."""
 
 
 class MissionFlight:
@@ -57,7 +58,7 @@ class MissionFlight:
         if entering:
             pilot.body.motors.limit_speed()
         if pilot.mission.seq >= len(pilot.mission):
-            pilot.mission_over()
+            pilot.mission_ends(MissionEnd.OVER)
             return
         item = pilot.mission.items[pilot.mission.seq]
         command = int(item["command"])
@@ -66,9 +67,9 @@ class MissionFlight:
         elif command in (WAYPOINT, LOITER_TIME, TAKEOFF):
             self._fly(item)
         elif command == LAND:
-            pilot.mission_lands()
+            pilot.mission_ends(MissionEnd.LANDS)
         elif command == RETURN:
-            pilot.mission_returns()
+            pilot.mission_ends(MissionEnd.RETURNS)
         else:
             self._next()
 

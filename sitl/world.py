@@ -234,7 +234,7 @@ class World:
 
     def _take(self, vehicle: int, frame: Frame) -> None:
         pilot = self.autopilots[vehicle]  # a reboot in between makes a new one
-        if not (pilot.powered and self.state.talking[vehicle] and self.state.signing[vehicle].accepts(frame)):
+        if not (self.state.talking[vehicle] and self.state.signing[vehicle].accepts(frame)):
             return
         try:
             pilot.receive(frame)

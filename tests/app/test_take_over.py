@@ -15,7 +15,7 @@ from groundstation.mavlink.codec import Batch, Frame, FrameSplitter, decode, mes
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Phase, Runner
-from sitl.personalities.px4.autopilot import LAND, POSCTL
+from sitl.personalities.px4.modes import LAND, POSCTL
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, cube8, four, mission, pair, still_in
 
@@ -178,7 +178,8 @@ def test_one_that_comes_down_by_its_failsafe_while_it_is_taken_over_is_told() ->
 
     world = _left_in_the_air(four(), still_in(Phase.FORM, 2.0), idle_s=1.5, prepare=one_lands)
     assert world.truth.airborne.all()
-    world.autopilots[0].intention, world.autopilots[0].failsafe = LAND, None  # type: ignore[attr-defined]
+    commander = world.autopilots[0].commander  # type: ignore[attr-defined]
+    commander.intention, commander.failsafe = LAND, None
     flight = Flight(four(), world=world, take_over=True)
     assert flight.runner.outcome == "aborted"
     assert "vehicle 1: has come down by its own failsafe before it could be brought home" in flight.runner.reason
@@ -245,7 +246,8 @@ def test_a_fault_of_our_own_while_taking_over_leaves_everybody_to_its_failsafe(m
 def test_a_vehicle_that_a_pilot_flies_is_not_touched() -> None:
     plan = four()
     world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), prepare=_holds)
-    world.autopilots[3].intention, world.autopilots[3].failsafe = POSCTL, None  # type: ignore[attr-defined]
+    commander = world.autopilots[3].commander  # type: ignore[attr-defined]
+    commander.intention, commander.failsafe = POSCTL, None
     before = flight_modes(world)
     flight = Flight(plan, world=world, take_over=True)
     assert flight.runner.outcome == "aborted"

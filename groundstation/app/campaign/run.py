@@ -46,7 +46,6 @@ _SECOND_NS = 1_000_000_000
 _SETTLE_STEP_NS = _SECOND_NS // 2
 _GROUND = frozenset({Phase.CONNECT, Phase.ARM})
 _ON_PADS = frozenset({Phase.CONNECT, Phase.ARM, Phase.TAKEOFF, Phase.LAND, Phase.SILENT, Phase.DONE})
-_FAILSAFE_MODES = frozenset({"LAND", "RTL", "SMART_RTL"})
 _WORDS_MAX = 2_000
 _OWN_FAULT = "fault in the ground station"
 DISOBEDIENT = frozenset(
@@ -335,7 +334,7 @@ class _Flown:
         on_ground = bool(world.dynamics.motion.on_ground[i])
         if on_ground and not pilot.armed:
             return "down"
-        if getattr(pilot, "failsafe", None) is not None or pilot.mode_name() in _FAILSAFE_MODES:
+        if pilot.acts_alone():
             return "failsafe"
         return "armed on the ground" if on_ground else "in the air"
 

@@ -10,6 +10,7 @@ from sitl.body import Body
 from sitl.config import VehicleConfig
 from sitl.mavlink_ids import ACCEPTED, DENIED, MSG_SET_POSITION_TARGET_LOCAL_NED, UNSUPPORTED
 from sitl.messages import IntArray, Message, message, rows_of, times_ms
+from sitl.mission import MissionEnd
 from sitl.outfit import Outfit
 from sitl.params import REAL32, ParamSet
 from sitl.personality import Personality, StartUp
@@ -107,6 +108,12 @@ class Toycopter(Autopilot):
             self.body.motors.command(NOTHING, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
         else:
             self.body.motors.command(NOTHING, (0.0, 0.0, self._climb_m_s()))
+
+    def acts_alone(self) -> bool:
+        return self.mode == LAND
+
+    def mission_ends(self, end: MissionEnd) -> None:
+        self.mode = LAND
 
     def vision_enabled(self) -> bool:
         return False
