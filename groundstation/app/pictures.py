@@ -32,6 +32,6 @@ def save_picture(figure: Figure, path: Path, dpi: int) -> None:
         ValueError: there is no such kind.
     """
     drawn, kind = io.BytesIO(), path.suffix.lower().removeprefix(".") or "png"
-    where = {"png": "Software", "svg": "Creator"}.get(kind)
+    where = {"png": "Software", "svg": "Creator", "pdf": "Creator"}.get(kind)
     figure.savefig(drawn, dpi=dpi, format=kind, metadata={where: _MAKER} if where else None)
     write_whole(path, drawn.getvalue(), durable=False)

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _NEIGHBOURS, _OTHERS = BLUE, ORANGE
 _MOST_INSTANTS = 3000
+DPI = 100
+"""Dots to the inch where nobody says otherwise."""
 _PAGE_LOOKED_AT = 1 << 20  # bytes of a page in which its pictures are named
 _STYLE: dict[Any, Any] = STYLE | {
     "font.size": 13.0,
@@ -46,7 +48,7 @@ class Picture:
         file: its name in the report's folder.
         title: heading on the page.
         text: what it shows, one sentence.
-        size_in: width and height in inches; 100 dots to the inch.
+        size_in: width and height in inches.
         draw: draws the flight into an empty figure.
     """
 
@@ -57,11 +59,12 @@ class Picture:
     draw: Callable[[Figure, Flight], None]
 
 
-def claim_report(folder: Path, *, force: bool) -> bool:
+def claim_report(folder: Path, *, force: bool, also: Sequence[str] = ()) -> bool:
     """Makes sure that a report may be written into a folder.
 
     Args:
         folder: need not exist.
+        also: further kinds in which its pictures are written.
         force: replace files of its names whatever they are.
 
     Returns:
@@ -78,17 +81,25 @@ def claim_report(folder: Path, *, force: bool) -> bool:
             return text.startswith(b"<!doctype html>") and all(item.file.encode() in text for item in PICTURES)
         return False
 
-    paths = (page, *(folder / item.file for item in PICTURES))
+    paths = (page, *(path for item in PICTURES for path in _files(folder, item, also)))
     # each of them is judged before anything is written
     replaced = [claim(path, "the report", "another folder with -o", ours=ours, force=force) for path in paths]
     return any(replaced)
 
 
-def write_report(flight: Flight, folder: Path) -> list[Path]:
+def _files(folder: Path, picture: Picture, also: Sequence[str]) -> list[Path]:
+    """A picture's files: the one of the page, and those of further kinds."""
+    shown = folder / picture.file
+    return [shown, *(shown.with_suffix(f".{kind}") for kind in also)]
+
+
+def write_report(flight: Flight, folder: Path, *, also: Sequence[str] = (), dpi: int = DPI) -> list[Path]:
     """Draws all pictures and writes the page.
 
     Args:
         flight: as ``records.replay.load_flight`` reads it.
+        also: further kinds in which each picture is written, ``svg`` or ``pdf``.
+        dpi: dots to the inch of those that are made of dots.
         folder: created when missing; files of an earlier report are replaced, see ``claim_report``.
 
     Returns:
@@ -113,8 +124,9 @@ def write_report(flight: Flight, folder: Path) -> list[Path]:
                 )
                 FigureCanvasAgg(figure)
                 picture.draw(figure, flight)
-                save_picture(figure, folder / picture.file, 100)
-            written.append(folder / picture.file)
+                for file in _files(folder, picture, also):
+                    save_picture(figure, file, dpi)
+                    written.append(file)
         write_whole(page, to_html(flight).encode("utf-8"), durable=False)
     except OSError as error:
         raise UserError(

@@ -18,6 +18,7 @@ from groundstation.records.imports import import_crazyswarm
 from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest
 from groundstation.records.replay import Flight, load_flight
 from groundstation.records.tlog import TlogWriter
+from tests.app.commands import gs
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "icra2019_flight"
 SECOND_NS = 1_000_000_000
@@ -212,3 +213,26 @@ def test_real_flight_of_2018(tmp_path: Path) -> None:
     assert sum(len(line.get_xdata()) == 212 for line in axes.lines) == 28
     assert "smallest: 0.206 m" in texts(draw(flight, "distances.png"))
     assert len(write_report(flight, tmp_path / "report")) == 5
+
+
+def test_pictures_come_in_kinds_for_papers_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(tmp_path / "flight.tlog")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("groundstation.app.report.PICTURES", PICTURES[1:2])
+    words = ["report", "flight.tlog", "-o", "out", "--also", "svg", "--also", "pdf", "--dpi", "50"]
+    assert gs(words, monkeypatch, capsys)[0] == 0
+    stem = PICTURES[1].file.removesuffix(".png")
+    assert (tmp_path / f"out/{stem}.svg").read_bytes().startswith(b"<?xml")
+    assert (tmp_path / f"out/{stem}.pdf").read_bytes().startswith(b"%PDF")
+    width = struct.unpack(">I", (tmp_path / f"out/{stem}.png").read_bytes()[16:20])[0]
+    assert width == round(PICTURES[1].size_in[0] * 50)
+    (tmp_path / "other").mkdir()
+    (tmp_path / f"other/{stem}.svg").write_text("mine")
+    words[3] = "other"
+    code, _, err = gs(words, monkeypatch, capsys)
+    assert (code, f"{stem}.svg" in err) == (2, True)
+    assert (tmp_path / f"other/{stem}.svg").read_text() == "mine"
+    code, _, err = gs([*words[:5], "gif"], monkeypatch, capsys)
+    assert (code, "--also gif: unknown; known are svg, pdf" in err) == (2, True)

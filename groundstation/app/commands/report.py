@@ -10,24 +10,36 @@ from rich.text import Text
 
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
-from groundstation.core.errors import CheckFailed
+from groundstation.core.errors import CheckFailed, UserError
+
+_KINDS = "svg", "pdf"
 
 
 def report(
     logs: Annotated[list[Path], typer.Argument(help="Log of a flight or of an import (.tlog); several are compared.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures and the page.")],
     *,
+    also: Annotated[
+        list[str] | None, typer.Option("--also", help="svg or pdf: every picture in that kind too; may be repeated.")
+    ] = None,
+    dpi: Annotated[int, typer.Option(help="Dots to the inch of the PNG pictures.", min=50, max=600)] = 100,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Draws trajectories, distances, formation error and setpoints of a flight; several are laid over each other."""
     from groundstation.app.comparing import compare_logs, tables, write_comparison
     from groundstation.app.replaying import nothing_in
-    from groundstation.app.report import claim_report, write_report
+    from groundstation.app.report import DPI, claim_report, write_report
     from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
+    kinds = list(dict.fromkeys(also or ()))
+    unknown = [kind for kind in kinds if kind not in _KINDS]
+    if unknown:
+        raise UserError(f"--also {unknown[0]}: unknown; known are {', '.join(_KINDS)}")
     if len(logs) > 1:
+        if kinds or dpi != DPI:
+            raise UserError("--also and --dpi are for one log; make a report of each")
         comparison = compare_logs(logs)
         for table in tables(comparison):
             out.console.print(table)
@@ -44,9 +56,9 @@ def report(
             out.console.print(Text(line))
     if not flight.useful:
         raise CheckFailed(f"{nothing_in(log)}; no report was written")
-    replaced = claim_report(output, force=force)
+    replaced = claim_report(output, force=force, also=kinds)
     with out.console.status("drawing"):
-        files = write_report(flight, output)
+        files = write_report(flight, output, also=kinds, dpi=dpi)
     for file in files:
         out.console.print(Text(f"{'replaced' if replaced else 'written'}: {file}"))
     out.result({"log": str(log), "vehicles": len(flight.vehicles), "files": [str(file) for file in files],
