@@ -78,11 +78,11 @@ class Speeds:
         self._counted_s = np.where(on[:, 0], self._counted_s + passed_s, self._counted_s)
         share = passed_s / np.clip(self._counted_s, passed_s, _OVER_S)
         self._square += np.where(on[:, 0], share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
-        self._forget(self._gap_s > _GAP_S)
+        self.forget(self._gap_s > _GAP_S)
         self.rms_m_s = np.where(self._counted_s >= _ENOUGH_S, np.sqrt(self._square), 0.0)
 
-    def _forget(self, rows: BoolArray) -> None:
-        """After a gap positions count from anew; how good the velocities were stays known."""
+    def forget(self, rows: BoolArray) -> None:
+        """Positions count from anew, as after a gap, shape (n,); how good the velocities were stays known."""
         self._pos[rows] = np.nan
         self.error_ned_m_s[rows] = 0.0
 

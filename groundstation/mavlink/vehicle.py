@@ -149,6 +149,8 @@ class Fleet:
         estimator_flags: ESTIMATOR_STATUS_FLAGS or EKF_STATUS_FLAGS, read by the autopilot classes; UNKNOWN before,
             shape (n,).
         estimator_ns: their arrival, shape (n,).
+        velocity_ratio: how far measured velocities are off the estimated one, in shares of what the estimator takes
+            for possible, from the same messages, NaN before, shape (n,).
         firmware: flight_sw_version of AUTOPILOT_VERSION: major, minor, patch, type, a byte each; UNKNOWN before,
             shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
@@ -194,6 +196,7 @@ class Fleet:
         self.sensors_healthy: IntArray = np.zeros(n, dtype=np.int64)
         self.estimator_flags = _unknowns(n)
         self.estimator_ns = _times(n)
+        self.velocity_ratio = np.full(n, np.nan)
         self.firmware = _unknowns(n)
         self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
         self.clocks = Clocks(n)
@@ -629,6 +632,8 @@ class Fleet:
 
     def _estimator(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         self.estimator_flags[row] = batch.values["flags"]
+        told = batch.values["vel_ratio" if "vel_ratio" in (batch.values.dtype.names or ()) else "velocity_variance"]
+        self.velocity_ratio[row] = told
         self.estimator_ns[row] = t_ns
 
     def _version(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:

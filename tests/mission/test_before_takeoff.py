@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import ardupilotmega, common
 
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, NEVER, Fleet
@@ -141,6 +141,55 @@ def test_an_estimator_counts_when_it_is_switched_on_and_ill(plan: MissionPlan, f
         fleet.sensors_enabled[0], fleet.sensors_healthy[0] = enabled, healthy
         ill.append("SYS_STATUS" in (checks.waiting(0, SECOND_NS, apart) or ""))
     assert ill == [True, False, False, False]
+
+
+def test_an_estimator_that_throws_measured_velocities_away_is_waited_for(plan: MissionPlan, fleet: Fleet) -> None:
+    checks, station = _checks(plan, fleet)
+    apart = np.array([(0.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
+    mav = common.MAVLink(None, srcComponent=1)
+    refused: list[tuple[str, ...]] = []
+    for ratio in (0.05, 1.6):
+        px4 = common.MAVLink_estimator_status_message(0, 0x3FF, ratio, 0.03, 0.03, 0.1, 0.0, math.nan, 0.3, 0.3)
+        copter = ardupilotmega.MAVLink_ekf_status_report_message(0x33F, ratio, 0.01, 0.0, 0.0, 0.0)
+        for vehicle, message in enumerate((px4, copter)):
+            mav.srcSystem = plan.spec.vehicles[vehicle].id
+            station.receive(plan.link_of_vehicle[vehicle], "there", message.pack(mav), 2 * SECOND_NS)
+        station.ingest()
+        refused.append(tuple(checks.waiting(vehicle, 2 * SECOND_NS, apart) or "" for vehicle in (0, 1)))
+    assert not any("velocity" in words for words in refused[0])
+    assert all("its velocity is 1.6 times as far off what it measures" in words for words in refused[1]), refused
+
+
+def test_a_velocity_that_runs_while_the_vehicle_stands_is_waited_for_and_a_new_origin_is_not(
+    plan: MissionPlan, fleet: Fleet
+) -> None:
+    frame = _frame(plan, fleet)
+    fleet.prearm_ok[:] = True
+    preflight = Preflight(plan, Station(fleet, 0), frame)
+    for rates in preflight.streams.rates:
+        rates.good, rates.hz, rates.restarts = True, (50.0, 50.0), 0
+    limit_m_s = plan.spec.limits.velocity_error_m_s
+
+    def stands(seconds: float, from_s: float) -> str:
+        state = GroundState()
+        for tick in range(round(seconds * 20)):
+            now_ns = round((from_s + tick / 20.0) * SECOND_NS)
+            for told_ns in (fleet.pose_ns, fleet.place_ns, fleet.attitude_ns, fleet.heard_ns, fleet.heartbeat_ns):
+                told_ns[:] = now_ns
+            fleet.pos_local_ned_m[:] += 1e-4 * (-1) ** tick
+            state = preflight.step(now_ns, {}, frame.poses(fleet, now_ns).pos_team_ned_m)
+        return "; ".join(state.waiting)
+
+    preflight._clock = lambda *_: None  # type: ignore[method-assign]
+    preflight._place = lambda *_: None  # type: ignore[method-assign]
+    assert "velocity" not in stands(3.0, 1.0)
+    fleet.pos_local_ned_m[1] += 5.0
+    assert "velocity" not in stands(3.0, 4.0)
+    fleet.vel_ned_m_s[0] = (0.0, 1.6 * limit_m_s, 0.0)
+    words = stands(10.0, 7.0)
+    assert "vehicle 1: its velocity is wrong:" in words
+    assert f"limit {limit_m_s:g} m/s" in words
+    assert "vehicle 2: its velocity" not in words
 
 
 def test_neighbours_nearer_than_r_are_waited_for_and_unknown_ones_accuse_nobody(

@@ -23,6 +23,7 @@ from groundstation.mission.timing import SECOND_NS, AskAgain, Since
 
 _ASK_NS = 2 * SECOND_NS
 _PATIENCE_NS = 8 * SECOND_NS  # for what is only nice to know; asked for longer than that it is not
+_VELOCITY_RATIO_MAX = 1.0  # from there on estimators throw a measurement away; 0.03 was seen at rest
 _ESTIMATOR_OLD_NS = 3 * SECOND_NS
 _AHRS = 0x200000  # MAV_SYS_STATUS_AHRS
 _RELEASES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: ""}  # FIRMWARE_VERSION_TYPE
@@ -206,7 +207,11 @@ class Checks:
 
     def _estimator_trouble(self, vehicle: int) -> str | None:
         fleet = self._station.fleet
-        return self._plan.autopilots[vehicle].estimator_trouble(int(fleet.estimator_flags[vehicle]))
+        trouble = self._plan.autopilots[vehicle].estimator_trouble(int(fleet.estimator_flags[vehicle]))
+        ratio = float(fleet.velocity_ratio[vehicle])
+        if trouble is None and ratio >= _VELOCITY_RATIO_MAX:
+            return f"its velocity is {ratio:.1f} times as far off what it measures as it takes for possible"
+        return trouble
 
     def _neighbours(self, vehicle: int, pos_team_ned_m: FloatArray) -> str | None:
         radius_m = self._plan.spec.avoidance.radius_m

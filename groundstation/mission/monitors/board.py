@@ -54,7 +54,8 @@ class Board:
         n = plan.size
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
-        self.wind, self.speeds = Wind(plan), PoorSpeeds(plan)
+        self.speeds = PoorSpeeds(plan)
+        self.wind = Wind(plan, self.speeds)
         self._modes, self._following = Modes(plan), Following(plan, self.wind)
         self._contradictions = Contradictions(plan)
         self._monitors: tuple[Monitor, ...] = (

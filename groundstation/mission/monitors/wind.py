@@ -11,6 +11,7 @@ from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.wind import sway_s2
 from groundstation.mission.timing import SECOND_NS
@@ -22,6 +23,7 @@ _MEAN_OVER, _GUST_OVER = 1.15, 1.3  # what an estimate of some seconds may be of
 _GUST_UNSURE_M_S = 0.1
 _CALM_M_S = 0.2  # gusts less than that are not told from errors of the attitude
 _LEVEL_M_S2 = 0.12
+_SHAKEN_LOOKS = 4.0  # times the error of a poor velocity looks like gusts: 1.0 m/s of 0.25, 2.6 of 0.77 in calm air
 _POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
@@ -31,9 +33,9 @@ class Wind:
     Vehicles whose link is too narrow for attitudes are left out: how they lean is not known.
     """
 
-    def __init__(self, plan: MissionPlan) -> None:
+    def __init__(self, plan: MissionPlan, speeds: PoorSpeeds) -> None:
         n = plan.size
-        self._limit = plan.wind
+        self._limit, self._speeds = plan.wind, speeds
         self._leans: BoolArray = np.array([not plan.rates_of(i).lean for i in range(n)])
         profiles = plan.vehicle_profiles
         self.estimate = WindEstimate(
@@ -58,10 +60,16 @@ class Wind:
         return np.asarray(expected * np.minimum(1.0, self._excuse_max_m_s / np.maximum(size, 1e-9)))
 
     @property
+    def _gust_m_s(self) -> float:
+        """Gusts as they are felt, less what poor velocities look like: a vehicle leans to mend what is no motion."""
+        shaken_m_s = _SHAKEN_LOOKS * float(np.sqrt(np.mean(self._speeds.rms_m_s**2)))
+        return math.sqrt(max(self.estimate.gust_m_s**2 - shaken_m_s**2, 0.0))
+
+    @property
     def sway_m(self) -> float:
         """How far distances may sway in the gusts of the moment, up to those of the limit; 0 in calm air."""
-        gust_m_s = min(self.estimate.gust_m_s, self._limit.gust_m_s)
-        if self.estimate.gust_m_s < _CALM_M_S:
+        gust_m_s = min(self._gust_m_s, self._limit.gust_m_s)
+        if self._gust_m_s < _CALM_M_S:
             return 0.0
         mean_m_s = min(float(np.linalg.norm(self.estimate.mean_ned_m_s)), self._limit.mean_m_s)
         return self._sway_s2 * self._frame.slope_1_s(mean_m_s) * gust_m_s
@@ -70,7 +78,7 @@ class Wind:
         """Enters the strongest wind that was seen."""
         if self.estimate.known:
             mean_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s))
-            figures.felt(mean_m_s, self.estimate.gust_m_s)
+            figures.felt(mean_m_s, self._gust_m_s)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of wind near the limit, and brings everybody back from more than that."""
@@ -85,7 +93,7 @@ class Wind:
         # A vehicle whose velocity is wrong leans to what it takes for its velocity, and that is no wind.
         moves_m_s, told_m_s = (vel - sight.vel_error_ned_m_s for vel in (sight.vel_ned_m_s, sight.sent_ned_m_s))
         self.estimate.step(passed_s, moves_m_s, down_ned, told_m_s, counts)
-        mean_m_s, gust_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s)), self.estimate.gust_m_s
+        mean_m_s, gust_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s)), self._gust_m_s
         limit = self._limit
         near = (
             mean_m_s > _SAY_SHARE * limit.mean_m_s + self._unsure_m_s
