@@ -163,7 +163,7 @@ def test_an_estimator_that_throws_measured_velocities_away_is_waited_for(plan: M
 def test_a_velocity_that_runs_while_the_vehicle_stands_is_waited_for_and_a_new_origin_is_not(
     plan: MissionPlan, fleet: Fleet
 ) -> None:
-    frame = _frame(plan, fleet)
+    frame = looked_at(plan, fleet)
     fleet.prearm_ok[:] = True
     preflight = Preflight(plan, Station(fleet, 0), frame)
     for rates in preflight.streams.rates:
