@@ -33,6 +33,8 @@ _WINDOW_US = 5_000_000
 _FOR_GOOD_US = 60_000_000  # no link is late for as long
 _BACK_US = 1_000_000  # boot times that run back further belong to a new start
 _PAUSE_US = 10_000_000
+_STEPS_MAX = 4_000  # that vehicles tell of, together: no clock is set as often, and looking at all of them takes long
+_BLOCK = 64
 _NAMES_MAX = 12
 _SENDERS_MAX = 40
 
@@ -144,10 +146,11 @@ class Survey:
                     boots[address][1].append(boot_ms * 1000)
         self.frames = len(stamps)
         self._stamps: IntArray = np.array(stamps, dtype=np.int64)
+        vehicles = self.vehicle_senders
         clocks = [
             (np.array(at, dtype=np.int64), np.array(boot, dtype=np.int64))
             for address, (at, boot) in boots.items()
-            if address in self.vehicle_senders and len(at) > 1
+            if address in vehicles and len(at) > 1
         ]
         self.steps = _steps(self._stamps, clocks)
         self.cut = self._where_stamps_fail(clocks)
@@ -164,8 +167,10 @@ class Survey:
         Systems of which nobody can be the autopilot are left out.
         """
         found: dict[int, int] = {}
-        for sysid in sorted({sysid for sysid, _ in self.senders}):
-            own = {compid: item for (system, compid), item in self.senders.items() if system == sysid}
+        systems: dict[int, dict[int, Sender]] = {}
+        for (sysid, compid), item in self.senders.items():
+            systems.setdefault(sysid, {})[compid] = item
+        for sysid, own in sorted(systems.items()):
             others = [compid for compid, item in sorted(own.items()) if not item.is_ground_station]
             told = [compid for compid in others if own[compid].is_autopilot]
             placed = [compid for compid in others if not own[compid].kinds and _POSITIONS & own[compid].counts.keys()]
@@ -262,12 +267,19 @@ def _steps(stamps: IntArray, clocks: Sequence[tuple[IntArray, IntArray]]) -> lis
     """Steps that most vehicles tell of those that were heard before and after them."""
     told: list[tuple[int, int, int, int, int]] = []  # clock, records between which it lies, size, time that passed
     for number, (at, boot) in enumerate(clocks):
-        told += [(number, *found) for found in _steps_of(at, stamps[at], boot)]
+        told += [(number, *step) for step in itertools.islice(_steps_of(at, stamps[at], boot), _STEPS_MAX)]
+        if len(told) >= _STEPS_MAX:
+            return []  # stamps at random: they are of no clock, and are left out from where they run back
+    told.sort(key=lambda item: item[2] - item[1])
     found: list[Step] = []
     while told:
-        _, first, last, size, passed = min(told, key=lambda item: item[2] - item[1])
-        same = [item for item in told if item[1] < last and item[2] > first and abs(item[3] - size) <= _STEP_US]
-        told = [item for item in told if item not in same]
+        _, first, last, size, passed = told[0]
+        same: list[tuple[int, int, int, int, int]] = []
+        left: list[tuple[int, int, int, int, int]] = []
+        for item in told:
+            belongs = item[1] < last and item[2] > first and abs(item[3] - size) <= _STEP_US
+            (same if belongs else left).append(item)
+        told = left
         low, high = max(item[1] for item in same), min(item[2] for item in same)
         for_it = len({item[0] for item in same})
         heard = sum(bool(at[0] <= low and at[-1] >= high) for at, _ in clocks)
@@ -291,17 +303,51 @@ def _steps_of(at: IntArray, stamp: IntArray, boot: IntArray) -> Iterator[tuple[i
     starts = [0, *(np.flatnonzero(np.diff(boot) < -_BACK_US) + 1).tolist(), len(boot)]
     for start, stop in itertools.pairwise(starts):
         own, ahead = boot[start:stop], stamp[start:stop] - boot[start:stop]
-        for k in np.flatnonzero(np.abs(np.diff(ahead)) > _STEP_US).tolist():
-            before = ahead[: k + 1][own[: k + 1] >= own[k] - _WINDOW_US].min()
-            behind = ahead[k + 1 :][own[k + 1 :] <= own[k + 1] + _WINDOW_US].min()
-            size = int(behind - before)
-            set_back = np.flatnonzero(np.diff(stamp[start + k + 1 : stop]) < -_STEP_US)
-            until = k + 2 + int(set_back[0]) if len(set_back) else len(own)
-            later = ahead[k + 1 : until][own[k + 1 : until] <= own[k + 1] + _FOR_GOOD_US].min()
-            if size > 0 and later - before < size / 2:
+        apart = np.flatnonzero(np.abs(np.diff(ahead)) > _STEP_US)
+        if not len(apart):
+            continue
+        set_back = np.append(np.flatnonzero(np.diff(stamp[start:stop]) < -_STEP_US) + 1, len(own))
+        until = set_back[np.searchsorted(set_back, apart + 2)]  # the first one that is behind the next record
+        # A vehicle's times may run back a little from one message to the next; between these two they are in order.
+        latest, earliest = np.maximum.accumulate(own), np.minimum.accumulate(own[::-1])[::-1]
+        since = np.searchsorted(latest, own[apart] - _WINDOW_US)
+        near = np.searchsorted(earliest, own[apart + 1] + _WINDOW_US, side="right")
+        far = np.searchsorted(earliest, own[apart + 1] + _FOR_GOOD_US, side="right")
+        least = _Least(ahead)
+        for k, low, close, high in zip(
+            *(a.tolist() for a in (apart, since, near, np.minimum(far, until))), strict=True
+        ):
+            before, behind = least(low, k + 1), least(k + 1, close)
+            size = behind - before
+            if size > 0 and least(k + 1, high) - before < size / 2:
                 continue
             if abs(size) > _STEP_US and np.sign(size) == np.sign(ahead[k + 1] - ahead[k]):
                 yield int(at[start + k]), int(at[start + k + 1]), size, int(own[k + 1] - own[k])
+
+
+class _Least:
+    """The least of any run of values, each time in as many steps: by blocks, and the least of 1, 2, 4 ... of those."""
+
+    def __init__(self, values: IntArray) -> None:
+        self._values = values
+        whole = len(values) // _BLOCK
+        self._rows = [values[: whole * _BLOCK].reshape(whole, _BLOCK).min(axis=1)]
+        while len(self._rows[-1]) > (width := 1 << (len(self._rows) - 1)):
+            row = self._rows[-1]
+            self._rows.append(np.minimum(row[:-width], row[width:]))
+
+    def __call__(self, start: int, stop: int) -> int:
+        """The least of ``values[start:stop]``, which are one at least."""
+        first, last = -(-start // _BLOCK), stop // _BLOCK
+        if first >= last:
+            return int(self._values[start:stop].min())
+        level = (last - first).bit_length() - 1
+        row = self._rows[level]
+        least = min(int(row[first]), int(row[last - (1 << level)]))
+        for low, high in ((start, first * _BLOCK), (last * _BLOCK, stop)):
+            if low < high:
+                least = min(least, int(self._values[low:high].min()))
+        return least
 
 
 @cache
