@@ -267,6 +267,30 @@ def test_a_drift_that_no_velocity_explains_is_found_and_a_real_motion_is_not() -
     assert [item.land for item in found] == [[1]], scene.alarms
 
 
+def test_the_silence_of_one_that_is_gone_is_no_jump_and_its_place_stays_an_obstacle() -> None:
+    scene = Scene("speed_limit_m_s=1.5")
+    gone_ns = scene.now_ns + SECOND_NS // 2
+    scene.vel[2] = scene.sent[2] = [0.0, 0.0, -1.5]
+
+    def flies_on() -> None:
+        scene.status()
+        if scene.now_ns >= gone_ns:  # its process has ended: no word, and nobody carries it on for more than 0.5 s
+            scene.age_ns[2] += TICK_NS
+            scene.silent_since_ns[2] = gone_ns
+        if scene.age_ns[2] <= SECOND_NS // 2:
+            scene.pos[2] += 0.02 * scene.vel[2]
+
+    found = scene.run(20.0, flies_on)
+    assert [text.partition(";")[0] for text in scene.alarms] == [
+        "vehicle 3: position is 0.52 s old, limit 0.50 s",
+        "vehicle 3: no position for 1 s",
+        "vehicle 3: nothing heard for 4 s",
+    ]
+    assert any(item.land == [2] for item in found)
+    assert scene.obstacle_m()[2] == scene.plan.limits.lost_radius_m  # long after
+    assert np.array_equal(scene.poses.pos_team_ned_m[2], scene.pos[2])  # where it was last seen
+
+
 def test_a_velocity_that_changes_unseen_in_a_gap_is_no_jump() -> None:
     plan = _plan()
     watch = PoseJump(plan)

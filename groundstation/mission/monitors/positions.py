@@ -55,6 +55,7 @@ class PoseJump:
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self.suspect: BoolArray = np.zeros(n, dtype=np.bool_)
         self._away_m: FloatArray = np.zeros(n)
+        self._silent_ns = round(plan.spec.limits.pose_age_s * SECOND_NS)
         self._allowed_m: FloatArray = np.full(n, self._limit_m)
         self._kick_m_s: FloatArray = np.zeros(n)
 
@@ -81,6 +82,8 @@ class PoseJump:
         kick_m_s = np.linalg.norm(poses.vel_ned_m_s - self._vel, axis=1)
         passed_s = passed_s[:, 0]
         away |= ~(kick_m_s * passed_s <= 0.5 * self._limit_m + _KICK * self._accel_m_s2 * passed_s**2)
+        # Of one that says nothing, nothing new contradicts its velocity: that it is silent is said elsewhere.
+        away &= now_ns - pose_ns <= self._silent_ns
         self._lasts = self._away(away, now_ns, round(_SUSPECT_S * SECOND_NS))
         self.suspect = away | self._told
         self._pose_ns = pose_ns
