@@ -14,7 +14,7 @@ from sitl.frames import is_place
 from sitl.mavlink_ids import ACCEPTED, DENIED, UNSUPPORTED
 from sitl.mission import MissionFlight
 from sitl.outfit import Outfit
-from sitl.protocol import Protocol
+from sitl.protocol import Conversation
 from sitl.setpoints import NOTHING, Setpoint
 from sitl.traits import Traits
 from sitl.vision import Vision
@@ -25,7 +25,7 @@ LANDED, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 _LIFTED_M = 0.03
 
 
-class Autopilot(Protocol, Traits):
+class Autopilot(Conversation, Traits):
     """One vehicle's flight state.
 
     Attributes:
@@ -48,7 +48,7 @@ class Autopilot(Protocol, Traits):
         self.vision: Vision | None = None
         self._beating = False
         self._contact_since_ns: int | None = None
-        endurance = body.profile.hover_endurance_s
+        endurance = body.profile.frame.hover_endurance_s
         self.mission_flight = MissionFlight(self)
         self.battery = Battery(endurance) if endurance > 600 else Battery(endurance, 1, 250.0)
         self.commands.update(
@@ -198,7 +198,7 @@ class Autopilot(Protocol, Traits):
             return
         if self._contact_since_ns is None:
             self._contact_since_ns = now_ns
-        contact_ns = self.body.profile.land_contact_s * SECOND
+        contact_ns = self.body.profile.manners.land_contact_s * SECOND
         if now_ns - self._contact_since_ns >= contact_ns or not self.armed:
             self.landed, self.landed_ns = True, now_ns
             self.body.motors.flying = False

@@ -189,9 +189,9 @@ class Motors:
     def limit_speed(self, xy_m_s: float | None = None, up: float | None = None, down: float | None = None) -> None:
         """Sets the limits of the position loop; None takes the profile's."""
         profile, limits = self._profile, self._commands.speed_limit_m_s
-        limits[0, self._index] = min(xy_m_s or math.inf, profile.speed_xy_max_m_s)
-        limits[1, self._index] = min(up or math.inf, profile.speed_up_max_m_s)
-        limits[2, self._index] = min(down or math.inf, profile.speed_down_max_m_s)
+        limits[0, self._index] = min(xy_m_s or math.inf, profile.manners.speed_xy_max_m_s)
+        limits[1, self._index] = min(up or math.inf, profile.manners.speed_up_max_m_s)
+        limits[2, self._index] = min(down or math.inf, profile.manners.speed_down_max_m_s)
 
 
 class Link:

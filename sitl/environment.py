@@ -91,8 +91,8 @@ class Air:
     ) -> None:
         n = len(profiles)
         self._step_s, self._wind, self._downwash = step_s, wind, downwash
-        self._drag = column(profiles, "drag_per_s")
-        self._per_s, self._per_m = column(profiles, "air_per_s"), column(profiles, "air_per_m")
+        self._drag = column(profiles, "frame.drag_per_s")
+        self._per_s, self._per_m = column(profiles, "frame.air_per_s"), column(profiles, "frame.air_per_m")
         self._sticky = np.maximum(self._drag - self._per_s, 0.0)
         self._calm_vel, self._calm_integral = np.zeros((3, n)), np.zeros((3, n))
 

@@ -70,6 +70,28 @@ _EVERY = 5  # the errors move every fifth physics step: they are slow
 _SHAKES_AFTER_S = 2.0  # off the ground, until the motors' shaking shows in full
 
 
+class Shaking:
+    """Motors that shake the sensors: velocities are wrong in the air only, and positions follow them for a while.
+
+    Attributes:
+        followed_m: by how much the positions have followed, shape (3, n), ENU.
+    """
+
+    def __init__(self, noises: Sequence[Noise], dt_s: float) -> None:
+        n = len(noises)
+        self._dt = dt_s
+        self._calm = np.array([noise.vel_in_air_only for noise in noises])
+        self._keep = np.exp(-dt_s / np.maximum(np.array([noise.pos_follows_s for noise in noises]), 1e-9))
+        self._shaken, self.followed_m = np.zeros(n), np.zeros((3, n))
+
+    def step(self, vel_error: Array, on_ground: NDArray[np.bool_]) -> Array:
+        """The velocity errors that show of those that there would be in full, shape (3, n)."""
+        self._shaken = np.where(on_ground, 0.0, np.minimum(self._shaken + self._dt / _SHAKES_AFTER_S, 1.0))
+        shown = vel_error * np.where(self._calm, self._shaken, 1.0)
+        self.followed_m = self._keep * (self.followed_m + shown * self._dt)
+        return np.asarray(shown)
+
+
 class Estimator:
     """Errors of n vehicles' estimates.
 
@@ -100,13 +122,10 @@ class Estimator:
         self.drift_enu_m_s = np.zeros((3, n))
         self.faulty = False
         self.pos_error, self.vel_error, self.att_error = np.split(self._errors.now, 3)
-        self._calm = np.array([noise.vel_in_air_only for noise in noises])
-        follows_s = np.array([noise.pos_follows_s for noise in noises])
-        self._led = bool(self._calm.any() or follows_s.any())
-        self._led_keep = np.exp(-self._dt / np.maximum(follows_s, 1e-9))
-        self._shaken, self._followed_m = np.zeros(n), np.zeros((3, n))
-        if self._led:
-            self._lead(np.ones(n, dtype=bool))
+        shaken = any(noise.vel_in_air_only or noise.pos_follows_s for noise in noises)
+        self._shaking = Shaking(noises, self._dt) if shaken else None
+        if self._shaking is not None:
+            self._shake(self._shaking, np.ones(n, dtype=bool))
         origin = np.array([noise.origin_sigma_m for noise in noises])
         self.origin_error_enu_m = np.clip(rng.standard_normal((3, n)), -2.0, 2.0) * origin
         self.origin_error_enu_m[2] *= 1.2
@@ -119,23 +138,20 @@ class Estimator:
         self._errors.step()
         if self.faulty:
             self.offset_enu_m += self.drift_enu_m_s * self._dt
-        if self._led:
-            self._lead(on_ground)
+        if self._shaking is not None:
+            self._shake(self._shaking, on_ground)
         elif self.faulty:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m
 
-    def _lead(self, on_ground: NDArray[np.bool_]) -> None:
-        """Velocities are wrong in the air only, and positions follow them for a while."""
-        self._shaken = np.where(on_ground, 0.0, np.minimum(self._shaken + self._dt / _SHAKES_AFTER_S, 1.0))
-        self.vel_error = self._errors.now[3:6] * np.where(self._calm, self._shaken, 1.0)
-        self._followed_m = self._led_keep * (self._followed_m + self.vel_error * self._dt)
-        self.pos_error = self._errors.now[:3] + self._followed_m + self.offset_enu_m
+    def _shake(self, shaking: Shaking, on_ground: NDArray[np.bool_]) -> None:
+        self.vel_error = shaking.step(self._errors.now[3:6], on_ground)
+        self.pos_error = self._errors.now[:3] + shaking.followed_m + self.offset_enu_m
 
     def refresh(self) -> None:
         """Lets a changed ``offset_enu_m`` act at once."""
         self.faulty = bool(self.offset_enu_m.any() or self.drift_enu_m_s.any())
-        if self._led:
-            self.pos_error = self._errors.now[:3] + self._followed_m + self.offset_enu_m
+        if self._shaking is not None:
+            self.pos_error = self._errors.now[:3] + self._shaking.followed_m + self.offset_enu_m
         else:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m if self.faulty else self._errors.now[:3]
 

@@ -26,16 +26,16 @@ class Reference:
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
         n = len(profiles)
-        self._kpos = column(profiles, "position_gain_per_s")
-        delay = np.maximum(np.rint(column(profiles, "dead_time_s") / step_s).astype(np.int64), 0)
+        self._kpos = column(profiles, "loops.position_gain_per_s")
+        delay = np.maximum(np.rint(column(profiles, "loops.dead_time_s") / step_s).astype(np.int64), 0)
         self._delay, self._cols = delay, np.arange(n)
         self._delay_same = int(delay[0]) if (delay == delay[0]).all() else None
         self._length = int(delay.max()) + 1
         self._queue = np.zeros((self._length, 3, n))
-        filter_s = column(profiles, "filter_s")
+        filter_s = column(profiles, "loops.filter_s")
         self._filtered = bool((filter_s > 0).any())
         self._gain = np.where(filter_s > 0, 1.0 - np.exp(-step_s / np.maximum(filter_s, 1e-9)), 1.0)
-        self._feedforward = column(profiles, "filter_feedforward") / step_s
+        self._feedforward = column(profiles, "loops.filter_feedforward") / step_s
         self._first, self._second = np.zeros((3, n)), np.zeros((3, n))
 
     def step(self, k: int, commands: Commands, pos_enu_m: Array, pos_error_m: Array) -> tuple[Array, Array | None]:
@@ -92,13 +92,13 @@ class VelocityLoop:
     """
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
-        self.kp = columns(profiles, "kp_xy_per_s", "kp_xy_per_s", "kp_z_per_s")
-        self.ki_dt = columns(profiles, "ki_xy_per_s2", "ki_xy_per_s2", "ki_z_per_s2") * step_s
+        self.kp = columns(profiles, "loops.kp_xy_per_s", "loops.kp_xy_per_s", "loops.kp_z_per_s")
+        self.ki_dt = columns(profiles, "loops.ki_xy_per_s2", "loops.ki_xy_per_s2", "loops.ki_z_per_s2") * step_s
         self.integral = np.zeros((3, len(profiles)))
-        self._drag_ff = column(profiles, "drag_per_s") * column(profiles, "drag_feedforward")
-        self._accel_max = column(profiles, "accel_max_m_s2")
-        self._tilt_tan = np.tan(column(profiles, "tilt_max_rad"))
-        self._thrust_max = column(profiles, "thrust_max_g") * GRAVITY_M_S2
+        self._drag_ff = column(profiles, "frame.drag_per_s") * column(profiles, "loops.drag_feedforward")
+        self._accel_max = column(profiles, "loops.accel_max_m_s2")
+        self._tilt_tan = np.tan(column(profiles, "loops.tilt_max_rad"))
+        self._thrust_max = column(profiles, "frame.thrust_max_g") * GRAVITY_M_S2
 
     def wanted(
         self, ref: Array, ref_rate: Array | None, vel: Array, vel_error: Array, thrust_share: Array
@@ -143,12 +143,12 @@ class AttitudeLoop:
     """Attitude of second order towards the wanted thrust direction; motors of first order."""
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
-        omega = column(profiles, "attitude_rad_s")
+        omega = column(profiles, "loops.attitude_rad_s")
         self._step_s = step_s
         self._omega2_dt = omega**2 * step_s
         self._damp = 1.0 / (1.0 + 2.0 * omega * step_s)  # implicit in the damping: stable at any step
-        self._rate_max = column(profiles, "tilt_rate_max_rad_s")
-        self._thrust_gain = 1.0 - np.exp(-step_s / column(profiles, "thrust_lag_s"))
+        self._rate_max = column(profiles, "loops.tilt_rate_max_rad_s")
+        self._thrust_gain = 1.0 - np.exp(-step_s / column(profiles, "frame.thrust_lag_s"))
 
     def step(self, k: int, motion: Motion, commands: Commands, health: Health, wanted: tuple[Array, Array]) -> None:
         """Moves on by one step.
@@ -186,7 +186,10 @@ class HeadingLoop:
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
         self._step_s = step_s
-        self._gain, self._rate_max = column(profiles, "yaw_gain_per_s"), column(profiles, "yaw_rate_max_rad_s")
+        self._gain, self._rate_max = (
+            column(profiles, "loops.yaw_gain_per_s"),
+            column(profiles, "loops.yaw_rate_max_rad_s"),
+        )
 
     def step(self, k: int, motion: Motion, commands: Commands, health: Health) -> None:
         """Moves on by one step; ``k`` is its number."""

@@ -76,7 +76,7 @@ class Commands:
         self.pos_sp_enu_m = pos_enu_m.copy()
         self.pos_mask = np.zeros((3, n))
         self.speed_limit_m_s = np.stack(
-            [column(profiles, f"speed_{way}_max_m_s") for way in ("xy", "up", "down")],
+            [column(profiles, f"manners.speed_{way}_max_m_s") for way in ("xy", "up", "down")],
         )
         self.yaw_sp_enu_rad = yaw_enu_rad.copy()
         self.yaw_rate_sp_rad_s = np.zeros(n)

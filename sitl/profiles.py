@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
@@ -16,19 +17,40 @@ from sitl.frames import Array
 
 
 @dataclass(frozen=True)
-class Profile:
-    """Constants of one kind of quadrotor and of its inner loops.
+class Airframe:
+    """What a vehicle is made of.
+
+    Attributes:
+        mass_kg: only for the downwash's reach and the battery.
+        rotor_span_m: distance between opposite rotors.
+        drag_per_s: linear drag in still air, deceleration per speed: what a step response shows.
+        air_per_s, air_per_m: what moving air does: it pulls with ``(air_per_s + air_per_m |u|) u``, u being its
+            velocity past the vehicle (drag of the rotors, and of the body).
+        thrust_max_g: largest thrust, in weights.
+        thrust_lag_s: time constant of the motors.
+        hover_endurance_s: hovering time on a full battery.
+    """
+
+    mass_kg: float
+    rotor_span_m: float
+    drag_per_s: float
+    air_per_s: float
+    air_per_m: float
+    thrust_max_g: float
+    thrust_lag_s: float
+    hover_endurance_s: float
+
+
+@dataclass(frozen=True)
+class LoopGains:
+    """How its inner loops are set.
 
     The velocity loop is a PI controller on the estimated velocity with an optional command filter in front; it asks
     for an acceleration, the tilt and the thrust that produce it follow with their own lags.
 
     Attributes:
-        name: profile name.
         kp_xy_per_s, kp_z_per_s: proportional gain, acceleration per velocity error.
         ki_xy_per_s2, ki_z_per_s2: integral gain.
-        drag_per_s: linear drag in still air, deceleration per speed: what a step response shows.
-        air_per_s, air_per_m: what moving air does: it pulls with ``(air_per_s + air_per_m |u|) u``, u being its
-            velocity past the vehicle (drag of the rotors, and of the body).
         drag_feedforward: share of the drag that the controller compensates beforehand, 0 to 1.
         filter_s: time constant of each of the two command filters in series; 0 for none.
         filter_feedforward: share of the filtered command's derivative fed forward to the acceleration.
@@ -36,30 +58,16 @@ class Profile:
         dead_time_s: delay between a command and its first effect.
         attitude_rad_s: natural frequency of the (critically damped) attitude loop.
         tilt_rate_max_rad_s: limit of the tilt rate.
-        thrust_lag_s: time constant of the motors.
         tilt_max_rad: largest tilt.
-        thrust_max_g: largest thrust, in weights.
         yaw_rate_max_rad_s: limit of the yaw rate.
         yaw_gain_per_s: gain of the yaw loop.
         position_gain_per_s: gain of the position loop.
-        speed_xy_max_m_s, speed_up_max_m_s, speed_down_max_m_s: limits of the position loop.
-        mass_kg: only for the downwash's reach and the battery.
-        rotor_span_m: distance between opposite rotors.
-        hover_endurance_s: hovering time on a full battery.
-        land_contact_s: standing on the ground for so long before the land detector says so.
-        crawl_below_m: height below which it comes down at ``crawl_m_s`` only, where it measures that height; 0: never.
-        crawl_m_s: that speed.
-        clock_rate: how fast its clock runs against real time.
     """
 
-    name: str
     kp_xy_per_s: float
     kp_z_per_s: float
     ki_xy_per_s2: float
     ki_z_per_s2: float
-    drag_per_s: float
-    air_per_s: float
-    air_per_m: float
     drag_feedforward: float
     filter_s: float
     filter_feedforward: float
@@ -67,27 +75,47 @@ class Profile:
     dead_time_s: float
     attitude_rad_s: float
     tilt_rate_max_rad_s: float
-    thrust_lag_s: float
     tilt_max_rad: float
-    thrust_max_g: float
     yaw_rate_max_rad_s: float
     yaw_gain_per_s: float
     position_gain_per_s: float
+
+
+@dataclass(frozen=True)
+class Manners:
+    """How its autopilot flies by itself.
+
+    Attributes:
+        speed_xy_max_m_s, speed_up_max_m_s, speed_down_max_m_s: limits of the position loop.
+        land_contact_s: standing on the ground for so long before the land detector says so.
+        crawl_below_m: height below which it comes down at ``crawl_m_s`` only, where it measures that height; 0: never.
+        crawl_m_s: that speed.
+        clock_rate: how fast its clock runs against real time.
+    """
+
     speed_xy_max_m_s: float
     speed_up_max_m_s: float
     speed_down_max_m_s: float
-    mass_kg: float
-    rotor_span_m: float
-    hover_endurance_s: float
     land_contact_s: float = 0.45
     crawl_below_m: float = 0.0
     crawl_m_s: float = 0.3
     clock_rate: float = 1.0
 
 
+@dataclass(frozen=True)
+class Profile:
+    """Constants of one kind of quadrotor, by its name."""
+
+    name: str
+    frame: Airframe
+    loops: LoopGains
+    manners: Manners
+
+
 def column(profiles: Sequence[Profile], name: str) -> Array:
-    """One number of all vehicles, shape (n,)."""
-    return np.array([getattr(profile, name) for profile in profiles], dtype=np.float64)
+    """One number of all vehicles, for example "loops.filter_s", shape (n,)."""
+    number = attrgetter(name)
+    return np.array([number(profile) for profile in profiles], dtype=np.float64)
 
 
 def columns(profiles: Sequence[Profile], x: str, y: str, z: str) -> Array:
@@ -97,31 +125,37 @@ def columns(profiles: Sequence[Profile], x: str, y: str, z: str) -> Array:
 
 CRAZYFLIE = Profile(
     name="crazyflie",
-    kp_xy_per_s=4.6,
-    kp_z_per_s=5.0,
-    ki_xy_per_s2=0.2,
-    ki_z_per_s2=0.2,
-    drag_per_s=0.25,
-    air_per_s=0.3,  # rotor drag as identified by Foerster (2015): 9.2e-7 kg a rad times 8,600 rad/s, over 28 g
-    air_per_m=0.05,  # a body of 27 cm2 with a coefficient of 1, over 33 g
-    drag_feedforward=1.0,
-    filter_s=0.0,
-    filter_feedforward=0.0,
-    accel_max_m_s2=6.0,
-    dead_time_s=0.02,
-    attitude_rad_s=50.0,
-    tilt_rate_max_rad_s=10.0,
-    thrust_lag_s=0.03,
-    tilt_max_rad=math.radians(35.0),
-    thrust_max_g=1.9,
-    yaw_rate_max_rad_s=math.radians(200.0),
-    yaw_gain_per_s=5.0,
-    position_gain_per_s=2.0,
-    speed_xy_max_m_s=2.0,
-    speed_up_max_m_s=1.0,
-    speed_down_max_m_s=1.0,
-    mass_kg=0.033,
-    rotor_span_m=0.13,
-    hover_endurance_s=360.0,
+    frame=Airframe(
+        drag_per_s=0.25,
+        air_per_s=0.3,  # rotor drag as identified by Foerster (2015): 9.2e-7 kg a rad times 8,600 rad/s, over 28 g
+        air_per_m=0.05,  # a body of 27 cm2 with a coefficient of 1, over 33 g
+        thrust_lag_s=0.03,
+        thrust_max_g=1.9,
+        mass_kg=0.033,
+        rotor_span_m=0.13,
+        hover_endurance_s=360.0,
+    ),
+    loops=LoopGains(
+        kp_xy_per_s=4.6,
+        kp_z_per_s=5.0,
+        ki_xy_per_s2=0.2,
+        ki_z_per_s2=0.2,
+        drag_feedforward=1.0,
+        filter_s=0.0,
+        filter_feedforward=0.0,
+        accel_max_m_s2=6.0,
+        dead_time_s=0.02,
+        attitude_rad_s=50.0,
+        tilt_rate_max_rad_s=10.0,
+        tilt_max_rad=math.radians(35.0),
+        yaw_rate_max_rad_s=math.radians(200.0),
+        yaw_gain_per_s=5.0,
+        position_gain_per_s=2.0,
+    ),
+    manners=Manners(
+        speed_xy_max_m_s=2.0,
+        speed_up_max_m_s=1.0,
+        speed_down_max_m_s=1.0,
+    ),
 )
 """A palm-size quadrotor under motion capture: velocity lag about 0.2 s after about 0.05 s in which little happens."""

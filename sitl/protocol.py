@@ -1,7 +1,7 @@
 """The parts of MAVLink that any autopilot answers: who is addressed, heartbeats, time, keys, commands.
 
-``Protocol`` holds one vehicle's conversation; parameters, missions and requests have objects of their own, the flying
-is in ``autopilot`` and the personalities. What autopilots do differently here are attributes and small overrides.
+``Conversation`` is one vehicle's; parameters, missions and requests have objects of their own, the flying is in
+``autopilot`` and the personalities. What autopilots do differently here are attributes and small overrides.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Command = Callable[[tuple[float, ...], Frame], int | None]
 _TYPE_GCS = 6
 
 
-class Protocol:
+class Conversation:
     """One vehicle's MAVLink conversation.
 
     Attributes:

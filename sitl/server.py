@@ -39,6 +39,41 @@ class _TcpPeer:
     backlog: bytearray = field(default_factory=bytearray)
 
 
+class OrderLines:
+    """Faults that are ordered while the world runs, one a line.
+
+    Args:
+        world: to which they happen.
+        stream: where they come from; None: from nowhere.
+
+    Attributes:
+        errors: what was wrong with some; they have changed nothing.
+    """
+
+    def __init__(self, world: World, stream: TextIO | None) -> None:
+        self._world, self._stream = world, stream
+        self._rest = b""
+        self.errors: list[str] = []
+
+    def read(self) -> bool:
+        """Takes what has come. Returns False at the end of the stream."""
+        data = b"" if self._stream is None else os.read(self._stream.fileno(), _READ_BYTES)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            self.obey(line.decode(errors="replace").strip())
+        return bool(data)
+
+    def obey(self, line: str) -> None:
+        """Obeys one line."""
+        try:
+            if line == "clear":
+                self._world.clear_faults()
+            elif line:
+                self._world.inject(*parse_faults(f"[{line}]", "order"))
+        except FaultError as error:
+            self.errors.append(str(error))
+
+
 class Server:
     """Sockets around one world.
 
@@ -57,6 +92,7 @@ class Server:
 
     Attributes:
         world: what is emulated.
+        orders: what was ordered by lines, and what was wrong with it.
         late_ns: time that was skipped because the machine was too slow.
     """
 
@@ -80,11 +116,9 @@ class Server:
         self._offset_ns = 0
         self.late_ns = 0
         self.datagrams_in = self.datagrams_out = 0
-        self._orders = orders
-        self._order_rest = b""
-        self.order_errors: list[str] = []
         now_ns = self._clock()
         self.world = World(replace(config, start_ns=now_ns, unix_start_us=time.time_ns() // 1000), seed)
+        self.orders = OrderLines(self.world, orders)
         n = len(config.vehicles)
         self._selector = selectors.DefaultSelector()
         self._sockets: list[socket.socket] = []
@@ -154,7 +188,8 @@ class Server:
             vehicle, what = key.data
             item = key.fileobj
             if what == "orders":
-                self._read_order()
+                if not self.orders.read():
+                    self._selector.unregister(item)
                 continue
             if not isinstance(item, socket.socket):
                 continue
@@ -164,29 +199,6 @@ class Server:
                 self._accept(vehicle, item)
             else:
                 self._read_tcp(vehicle, what)
-
-    def _read_order(self) -> None:
-        """Takes orders; a wrong one is kept for the display and changes nothing."""
-        if self._orders is None:
-            return
-        data = os.read(self._orders.fileno(), _READ_BYTES)
-        if not data:
-            self._selector.unregister(self._orders)
-            self._orders = None
-            return
-        *lines, self._order_rest = (self._order_rest + data).split(b"\n")
-        for line in lines:
-            self.order(line.decode(errors="replace").strip())
-
-    def order(self, line: str) -> None:
-        """Obeys one line of orders."""
-        try:
-            if line == "clear":
-                self.world.clear_faults()
-            elif line:
-                self.world.inject(*parse_faults(f"[{line}]", "order"))
-        except FaultError as error:
-            self.order_errors.append(str(error))
 
     @property
     def ground_stations(self) -> list[int]:

@@ -35,7 +35,7 @@ class Clocks:
         n = len(profiles)
         self.boot_ns = np.full(n, config.start_ns, dtype=np.int64)
         self.offset_ns = np.zeros(n, dtype=np.int64)
-        self._slow = np.array([1.0 - profile.clock_rate for profile in profiles])
+        self._slow = np.array([1.0 - profile.manners.clock_rate for profile in profiles])
         self._drifts = bool(self._slow.any())
         self._unix_at_0_us = config.unix_start_us, config.start_ns
 
@@ -180,6 +180,6 @@ class State:
         if not self.config.downwash:
             return None
         return Downwash(
-            np.array([profile.mass_kg for profile in self.profiles]),
-            np.array([profile.rotor_span_m for profile in self.profiles]),
+            np.array([profile.frame.mass_kg for profile in self.profiles]),
+            np.array([profile.frame.rotor_span_m for profile in self.profiles]),
         )

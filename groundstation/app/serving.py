@@ -114,8 +114,8 @@ def open_server(options: SitlOptions) -> Server:
 
 def tell_errors(out: Output, server: Server) -> None:
     """Prints what was wrong with orders, once."""
-    while server.order_errors:
-        out.console.print(server.order_errors.pop(0))
+    while server.orders.errors:
+        out.console.print(server.orders.errors.pop(0))
 
 
 def server_picture(server: Server) -> Group:
@@ -147,5 +147,5 @@ def server_picture(server: Server) -> Group:
         whose = "all" if not item.vehicles else ", ".join(map(str, item.vehicles))
         numbers = "".join(f", {name} {value:g}" for name, value in item.numbers.items())
         lines.append(Text(f"fault: {item.kind} of {whose}{numbers}"))
-    lines += [Text(message) for message in server.order_errors[-3:]]
+    lines += [Text(message) for message in server.orders.errors[-3:]]
     return Group(table, *lines)

@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import groundstation
 import sitl
 
@@ -32,11 +34,11 @@ def _fields(node: ast.ClassDef) -> set[str]:
     return named | stored
 
 
-def _classes() -> Iterator[tuple[str, ast.ClassDef]]:
-    for path in sorted(MISSION.rglob("*.py")):
+def _classes(root: Path) -> Iterator[tuple[str, ast.ClassDef]]:
+    for path in sorted(root.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef):
-                yield f"{path.relative_to(MISSION)}: {node.name}", node
+                yield f"{path.relative_to(root)}: {node.name}", node
 
 
 LARGER = {
@@ -62,9 +64,10 @@ def _sizes(classes: dict[str, ast.ClassDef], name: str) -> tuple[set[str], set[s
     return fields, methods
 
 
-def test_no_class_of_the_mission_keeps_or_does_too_much() -> None:
+@pytest.mark.parametrize("root", [MISSION, EMULATOR])
+def test_no_class_of_the_mission_and_of_the_emulator_keeps_or_does_too_much(root: Path) -> None:
     large = {}
-    for name, node in _classes():
+    for name, node in _classes(root):
         fields = len(_fields(node))
         methods = sum(isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef) for item in node.body)
         if fields > FIELDS_MAX or methods > METHODS_MAX:
@@ -73,7 +76,7 @@ def test_no_class_of_the_mission_keeps_or_does_too_much() -> None:
 
 
 def test_a_class_that_comes_to_more_by_what_it_inherits_is_named_with_its_reason() -> None:
-    nodes = [node for _, node in _classes()]
+    nodes = [node for _, node in _classes(MISSION)]
     classes = {node.name: node for node in nodes}
     assert len(classes) == len(nodes), "two classes of the mission have one name"
     large = {}
@@ -84,12 +87,24 @@ def test_a_class_that_comes_to_more_by_what_it_inherits_is_named_with_its_reason
     assert large.keys() == LARGER.keys(), large
 
 
-def test_no_file_of_the_mission_is_too_long() -> None:
+INHERITED = {"Conversation", "Traits", "Autopilot", "Simulator"}
+"""What classes of the emulator may stand on; each of them keeps the bounds by itself, its heirs by what they add."""
+
+
+def test_nobody_in_the_emulator_inherits_but_autopilots_and_simulators() -> None:
+    nodes = [node for _, node in _classes(EMULATOR)]
+    own = {node.name for node in nodes}
+    bases = {base.id for node in nodes for base in node.bases if isinstance(base, ast.Name)}
+    assert bases & own == INHERITED
+
+
+@pytest.mark.parametrize("root", [MISSION, EMULATOR])
+def test_no_file_of_the_mission_and_of_the_emulator_is_too_long(root: Path) -> None:
     long = {}
-    for path in sorted(MISSION.rglob("*.py")):
+    for path in sorted(root.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         if text.count("\n") > LINES_MAX or len(text.encode()) > BYTES_MAX:
-            long[str(path.relative_to(MISSION))] = (text.count("\n"), len(text.encode()))
+            long[str(path.relative_to(root))] = (text.count("\n"), len(text.encode()))
     assert not long, f"more than {LINES_MAX} lines or {BYTES_MAX} bytes: {long}"
 
 

@@ -94,7 +94,7 @@ def test_tilt_produces_the_acceleration() -> None:
     for _ in range(500):
         before = dynamics.motion.vel_enu_m_s.copy()
         dynamics.step()
-        drag = np.array([PROFILES[name].drag_per_s for name in PROFILES]) * before
+        drag = np.array([PROFILES[name].frame.drag_per_s for name in PROFILES]) * before
         weight = np.array([[0.0], [0.0], [GRAVITY_M_S2]])
         expected = dynamics.motion.up_enu * dynamics.motion.thrust_m_s2 - weight - drag
         assert (dynamics.motion.vel_enu_m_s - before) / STEP_S == pytest.approx(expected, abs=1e-9)
@@ -106,8 +106,8 @@ def test_tilt_produces_the_acceleration() -> None:
 def test_tilt_and_thrust_stay_within_their_limits_under_wild_commands() -> None:
     dynamics = flying(*PROFILES)
     rng = np.random.default_rng(3)
-    tilt_max = np.array([PROFILES[name].tilt_max_rad for name in PROFILES])
-    thrust_max = np.array([PROFILES[name].thrust_max_g for name in PROFILES]) * GRAVITY_M_S2
+    tilt_max = np.array([PROFILES[name].loops.tilt_max_rad for name in PROFILES])
+    thrust_max = np.array([PROFILES[name].frame.thrust_max_g for name in PROFILES]) * GRAVITY_M_S2
     for _ in range(40):
         dynamics.commands.vel_sp_enu_m_s[:] = rng.uniform(-50.0, 50.0, (3, len(PROFILES)))
         for _ in range(50):
@@ -160,7 +160,7 @@ def test_wind_pushes_and_the_integral_holds_against_it() -> None:
     assert abs(float(dynamics.motion.vel_enu_m_s[0, 0])) < 0.05
     lean = math.degrees(math.atan2(-float(dynamics.motion.up_enu[0, 0]), float(dynamics.motion.up_enu[2, 0])))
     profile = PROFILES["px4_quad"]
-    expected = math.degrees(math.atan(3.0 * (profile.air_per_s + 3.0 * profile.air_per_m) / GRAVITY_M_S2))
+    expected = math.degrees(math.atan(3.0 * (profile.frame.air_per_s + 3.0 * profile.frame.air_per_m) / GRAVITY_M_S2))
     assert lean == pytest.approx(expected, rel=0.05)  # it leans into the wind by what the drag asks for
 
 

@@ -207,9 +207,9 @@ def test_a_machine_that_stands_still_skips_time_and_says_so() -> None:
 )
 def test_a_wrong_order_is_told_and_changes_nothing(line: str, words: str) -> None:
     with Server(WorldConfig(vehicles=fleet(2)), 1, port=free_udp_port()) as server:
-        server.order(line)
-        assert len(server.order_errors) == 1
-        assert words in server.order_errors[0]
+        server.orders.obey(line)
+        assert len(server.orders.errors) == 1
+        assert words in server.orders.errors[0]
         assert server.world.active_faults == ()
 
 
@@ -217,7 +217,7 @@ def test_status_shows_modes_positions_and_what_is_wrong() -> None:
     faults = (Fault("loss", vehicles=(2,), numbers={"probability": 0.5}),)
     with Server(WorldConfig(vehicles=fleet(3), faults=faults), 1, port=free_udp_port()) as server:
         server.world.advance(server.world.now_ns + 3 * 10**9)
-        server.order("{kind: gremlins}")
+        server.orders.obey("{kind: gremlins}")
         server.world.frame_errors[1] = 3
         console = Console(width=120, record=True, file=io.StringIO())
         console.print(server_picture(server))

@@ -169,7 +169,7 @@ class Flight:
         height = z - body.senses.home_enu_m[2]
         fast = params["LAND_SPEED_HIGH"] or params["WPNAV_SPEED_DN"]
         speed = (fast if height > params["LAND_ALT_LOW"] / 100.0 else params["LAND_SPEED"]) / 100.0
-        speed = min(speed, body.profile.speed_down_max_m_s)
+        speed = min(speed, body.profile.manners.speed_down_max_m_s)
         body.motors.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _return(self, entering: bool) -> None:

@@ -121,9 +121,9 @@ class Navigator:
         height = z - body.senses.home_enu_m[2]
         slow, fast = params["MPC_LAND_SPEED"], params["MPC_Z_V_AUTO_DN"]
         share = min(max((height - 5.0) / 5.0, 0.0), 1.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1
-        speed = min(slow + share * (fast - slow), body.profile.speed_down_max_m_s)
-        if height < body.profile.crawl_below_m:
-            speed = min(speed, body.profile.crawl_m_s)
+        speed = min(slow + share * (fast - slow), body.profile.manners.speed_down_max_m_s)
+        if height < body.profile.manners.crawl_below_m:
+            speed = min(speed, body.profile.manners.crawl_m_s)
         body.motors.command((self._hold[0], self._hold[1], None), (None, None, -speed))
 
     def _return_height(self, z: float, home_z: float, far: float) -> float:
