@@ -18,6 +18,8 @@ from groundstation.app.resources import find_config
 from groundstation.core.errors import UserError
 from tests.app.commands import gs
 
+ROOT = Path(__file__).parents[2]
+
 
 def test_a_mission_may_be_named_without_its_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -105,6 +107,14 @@ def test_ctrl_c_while_the_program_is_still_loading_is_a_word_not_a_traceback(
         door.main()
     assert ended.value.code == 130
     assert capsys.readouterr().err == "gs: stopped by Ctrl-C\n"
+
+
+def test_little_is_loaded_before_ctrl_c_is_looked_after() -> None:
+    code = "import sys; old = set(sys.modules); import groundstation.__main__; print(*sorted(set(sys.modules) - old))"
+    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = [name for name in done.stdout.split() if not name.startswith("groundstation")]
+    assert "typing" not in loaded
+    assert len(loaded) < 20, loaded
 
 
 _HEAVY = "numpy", "scipy", "cvxpy", "pydantic", "matplotlib", "yaml", "pymavlink", "sitl"

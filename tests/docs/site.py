@@ -10,6 +10,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import jupytext
+
 ROOT = Path(__file__).parents[2]
 _TOP = re.compile(r"\]\((?:\.\./)?((?:CHANGELOG|CONTRIBUTING)\.md)")  # a link to a page at the top
 _LAID = ROOT / "build" / "docs"
@@ -30,15 +32,18 @@ def pages() -> list[str]:
 
 
 def lay_out() -> None:
-    """Copies the pages and their pictures to where the site is built from, with the two pages at the top."""
+    """Copies pages and pictures to where the site is built from, with the two at the top, and notebooks as pages."""
     shutil.rmtree(_LAID, ignore_errors=True)
     shutil.copytree(ROOT / "docs", _LAID)
     for name in ("CHANGELOG.md", "CONTRIBUTING.md"):
         text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](")
         (_LAID / name.lower()).write_text(text, encoding="utf-8")
+    for notebook in sorted((_LAID / "notebooks").glob("*.py")):
+        page = notebook.with_suffix(".md")
+        page.write_text(jupytext.writes(jupytext.read(notebook), "md"), encoding="utf-8")
     for page in _LAID.glob("*.md"):
         text = page.read_text(encoding="utf-8")
-        page.write_text(_TOP.sub(lambda link: f"]({link[1].lower()}", text), encoding="utf-8")
+        page.write_text(_TOP.sub(lambda link: f"]({link[1].lower()}", text).replace(".py)", ".md)"), encoding="utf-8")
 
 
 def build_site() -> int:

@@ -15,6 +15,7 @@ from tests.docs.figures import FIGURES
 
 def test_every_page_is_in_the_menu_once() -> None:
     there = {path.name for path in (site.ROOT / "docs").glob("*.md")} | {"changelog.md", "contributing.md"}
+    there |= {f"notebooks/{path.stem}.md" for path in (site.ROOT / "docs/notebooks").glob("*.py")}
     assert sorted(site.pages()) == sorted(there)
 
 
@@ -27,7 +28,7 @@ def test_the_site_builds_and_a_link_that_leads_nowhere_stops_it(
     monkeypatch.setattr(site, "ROOT", tmp_path)
     monkeypatch.setattr(site, "_LAID", tmp_path / "build" / "docs")
     assert site.build_site() == 0
-    built = {path.stem for path in (tmp_path / "build/site").glob("*.html")}
+    built = {path.stem for path in (tmp_path / "build/site").rglob("*.html")}
     assert built >= {Path(page).stem for page in site.pages()}
     with (tmp_path / "docs/law.md").open("a", encoding="utf-8") as page:
         page.write("\n[nowhere](missions.md#no-such-heading)\n")
