@@ -52,7 +52,11 @@ def test_real_boot_heartbeat_origin_stabilize_then_guided_after_forty_seconds() 
     ground.interval("GPS_GLOBAL_ORIGIN", 10)
     ground.run(2.0)
     assert ground.last("HEARTBEAT").custom_mode == 0  # ... and never in effect
-    ground.run(18.5)
+    assert ground.ask(176, 1, GUIDED) == 0  # at 4.5 s, disarmed: acknowledged ...
+    ground.run(1.5)
+    assert ground.last("HEARTBEAT").custom_mode == GUIDED  # ... and shown, long before there is a position
+    assert ground.ask(176, 1, 0) == 0
+    ground.run(17.0)
     assert ground.ask(400, 1) == 4
     assert any(text.startswith("PreArm: ") for _, text in ground.texts())
     ground.run(2.0)

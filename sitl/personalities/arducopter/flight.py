@@ -68,7 +68,8 @@ class Flight:
             return FAILED
         if pilot.age_ns < pilot.boot.deaf_ns:
             return ACCEPTED  # seen: acknowledged in the first seconds, and never in effect
-        if mode in NEED_POSITION and not pilot.position_good:
+        # Disarmed it takes any mode, as was seen 4 s after start; arming then asks for the position.
+        if mode in NEED_POSITION and pilot.armed and not pilot.position_good:
             pilot.voice.text(WARNING, f"Mode change to {NAMES[mode]} failed: requires position")
             return FAILED
         if mode == AUTO and not pilot.mission:
