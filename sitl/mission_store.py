@@ -1,4 +1,7 @@
-"""The mission protocol and the stored mission: up, down, what is under way. Fences and rally points are refused."""
+"""The mission protocol and what is stored: the mission, what of it is under way; fence and rally points beside it.
+
+Fence and rally points are kept and told again, as firmware does; nobody flies by them here.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,12 @@ from sitl.wire import Fields
 _ITEM_PATIENCE_NS = 250_000_000
 _ITEM_TRIES = 20
 MISSION_ACCEPTED, MISSION_UNSUPPORTED, MISSION_BAD_X, MISSION_BAD_Y, MISSION_BAD_SEQUENCE = 0, 3, 10, 11, 13
-_FLIGHT, _ALL_KINDS = 0, 255  # mission types; fences (1) and rally points (2) are not emulated
+MISSION_ERROR, MISSION_UNSUPPORTED_FRAME = 1, 2
+_FLIGHT, _FENCE, _RALLY, _ALL_KINDS = 0, 1, 2, 255  # mission types
+_KNOWN = {_FENCE: range(5000, 5005), _RALLY: range(5100, 5101)}  # commands that items of these kinds may have
+_POLYGONS = (5001, 5002)
+_ON_EARTH = (0, 3, 5, 6)  # frames
+_VERTICES_MIN = 3
 
 
 class Timed(Protocol):
@@ -29,12 +37,14 @@ class MissionStore:
     Attributes:
         items: fields of MISSION_ITEM_INT.
         seq: which of them is under way; a new mission starts at its beginning.
+        beside: fence and rally points, by mission type.
     """
 
     def __init__(self, voice: Voice, body: Timed) -> None:
         self._voice, self._body = voice, body
         self.items: list[Fields] = []
         self.seq = 0
+        self.beside: dict[int, list[Fields]] = {_FENCE: [], _RALLY: []}
         self._upload: dict[str, Any] | None = None
 
     def __len__(self) -> int:
@@ -54,10 +64,20 @@ class MissionStore:
             mission_type=kind,
         )
 
+    def _of(self, kind: int) -> list[Fields] | None:
+        """What is stored of a kind; None for one that is not known."""
+        return self.items if kind == _FLIGHT else self.beside.get(kind)
+
+    def _store(self, kind: int, items: list[Fields]) -> None:
+        if kind == _FLIGHT:
+            self.items, self.seq = items, 0
+        else:
+            self.beside[kind] = items
+
     def on_list(self, fields: Fields, frame: Frame) -> None:
         """Tells how many items there are."""
         kind = fields.get("mission_type", 0)
-        count = len(self.items) if kind == 0 else 0  # fences and rally points are not stored
+        count = len(self._of(kind) or ())
         self._voice.send(
             "MISSION_COUNT",
             target_system=frame.sysid,
@@ -69,10 +89,11 @@ class MissionStore:
     def on_request(self, fields: Fields, frame: Frame) -> None:
         """Sends one item."""
         seq, kind = fields["seq"], fields.get("mission_type", 0)
-        if kind != _FLIGHT or seq >= len(self.items):
+        held = self._of(kind)
+        if held is None or seq >= len(held):
             self._ack(MISSION_BAD_SEQUENCE, kind, frame)
             return
-        item = {k: v for k, v in self.items[seq].items() if not k.startswith("target_")}
+        item = {k: v for k, v in held[seq].items() if not k.startswith("target_")}
         name = "MISSION_ITEM_INT"
         if frame.msgid == MSG_MISSION_REQUEST:
             name = "MISSION_ITEM"
@@ -83,12 +104,11 @@ class MissionStore:
     def on_count(self, fields: Fields, frame: Frame) -> None:
         """Begins to take a mission."""
         kind = fields.get("mission_type", 0)
-        if kind != _FLIGHT:
+        if self._of(kind) is None:
             self._ack(MISSION_UNSUPPORTED, kind, frame)
             return
         if fields["count"] == 0:
-            self.items = []
-            self.seq = 0
+            self._store(kind, [])
             self._ack(MISSION_ACCEPTED, kind, frame)
             return
         self._upload = {"count": fields["count"], "items": [], "kind": kind}
@@ -123,11 +143,18 @@ class MissionStore:
                         self._ack(refusal, kind, frame)
                         return
                     item[axis] = round(item[axis] * scale)
+            refusal_of_item = _refusal(kind, item)
+            if refusal_of_item is not None:
+                self._upload = None
+                self._ack(refusal_of_item, kind, frame)
+                return
             upload["items"].append(item)
         if len(upload["items"]) == upload["count"]:
-            self.items = upload["items"]
-            self.seq = 0
             self._upload = None
+            if kind == _FENCE and not _closed(upload["items"]):
+                self._ack(MISSION_ERROR, kind, frame)
+                return
+            self._store(kind, upload["items"])
             self._ack(MISSION_ACCEPTED, kind, frame)
         else:
             self._ask_item(frame)
@@ -147,11 +174,12 @@ class MissionStore:
     def on_clear(self, fields: Fields, frame: Frame) -> None:
         """Forgets the mission."""
         kind = fields.get("mission_type", 0)
-        if kind not in (_FLIGHT, _ALL_KINDS):
+        kinds = (_FLIGHT, _FENCE, _RALLY) if kind == _ALL_KINDS else (kind,)
+        if self._of(kinds[0]) is None:
             self._ack(MISSION_UNSUPPORTED, kind, frame)
             return
-        self.items = []
-        self.seq = 0
+        for one in kinds:
+            self._store(one, [])
         self._ack(MISSION_ACCEPTED, kind, frame)
 
     def set_current(self, seq: int) -> bool:
@@ -165,3 +193,30 @@ class MissionStore:
     def on_set_current(self, fields: Fields, _frame: Frame) -> None:
         """Goes on with another item, as ``set_current``."""
         self.set_current(fields["seq"])
+
+
+def _refusal(kind: int, item: Fields) -> int | None:
+    """Why an item of a fence or a rally point is not taken, as MAV_MISSION_RESULT; None where it is."""
+    known = _KNOWN.get(kind)
+    if known is None:
+        return None
+    if int(item["command"]) not in known:
+        return MISSION_UNSUPPORTED
+    return None if item["frame"] in _ON_EARTH else MISSION_UNSUPPORTED_FRAME
+
+
+def _closed(items: list[Fields]) -> bool:
+    """Whether every polygon has as many vertices as its items say, and three at least."""
+    position = 0
+    while position < len(items):
+        item = items[position]
+        vertices = round(item["param1"]) if item["command"] in _POLYGONS else 1
+        together = items[position : position + vertices]
+        if item["command"] in _POLYGONS and (
+            vertices < _VERTICES_MIN
+            or len(together) < vertices
+            or any((one["command"], round(one["param1"])) != (item["command"], vertices) for one in together)
+        ):
+            return False
+        position += vertices
+    return True

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.emulator import TruthMeter, served_world, world_config
+from groundstation.app.fence_giving import give_fence
 from groundstation.app.forwarding import Forward
 from groundstation.app.keyboard import Keyboard
 from groundstation.app.law_watch import LawWatch
@@ -238,12 +239,20 @@ def fly_vehicles(
         emulated_seed: of the emulator's noise; None for vehicles.
         take_over: bring home vehicles that are in the air.
         give_back: parameters that preflight has set are set back after the flight.
+
+    Raises:
+        PreflightRefused: the vehicles do not take the mission's fence.
     """
     keeper = BeforeKeeper(before_path(log_path))
     with ExitStack() as stack:
         meter, emulated = None, emulated_seed is not None
         if emulated_seed is not None:
             meter = TruthMeter(stack.enter_context(served_world(plan, emulated_seed, faults)))
+        refused = [] if take_over else give_fence(out, plan, may_set=True)
+        if refused:
+            why_not = PreflightRefused(refusal("; ".join(refused)))
+            why_not.answered = False
+            raise why_not
         disk, laws = Disk(), LawWatch(plan)
         plan = laws.plan
         recorded = LogPlan(log_path, versions(), emulated_seed, replace=emulated, through=disk.through)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from rich.table import Table
 from rich.text import Text
@@ -94,8 +94,22 @@ def lines_of(plan: MissionPlan) -> Iterator[Lines]:
         yield Lines(links, clock, gate)
 
 
-def talk_params(conversation: ParamTalk, lines: Lines, seconds: float) -> None:
-    """Lets a talk about parameters go on until it is done, at most for some seconds; Ctrl-C ends it."""
+class Conversation(Protocol):
+    """What is said on links before or after a flight; see ``ParamTalk``."""
+
+    def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
+        """Takes what came over a link."""
+
+    def outgoing(self, now_ns: int) -> list[Outgoing]:
+        """What is to be sent now."""
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to say."""
+
+
+def converse(conversation: Conversation, lines: Lines, seconds: float) -> None:
+    """Lets a conversation go on until it is done, at most for some seconds; Ctrl-C ends it."""
     gate, interrupts = lines.gate, Interrupts()
 
     def receive(link: int, peer: str, data: bytes, now_ns: int) -> None:
@@ -127,7 +141,7 @@ def save(out: Output, plan: MissionPlan, path: Path, seconds: float, *, force: b
     """
     conversation = ParamTalk(plan)
     with lines_of(plan) as lines:
-        talk_params(conversation, lines, seconds)
+        converse(conversation, lines, seconds)
     team = conversation.team()
     if team:
         write_params(path, team, f"all parameters of mission {plan.spec.name}", force=force)
@@ -149,7 +163,7 @@ def diff(out: Output, plan: MissionPlan, path: Path, seconds: float) -> None:
     team = _of_mission(plan, path)
     conversation = ParamTalk(plan, names={sysid: list(params) for sysid, params in team.items()})
     with lines_of(plan) as lines:
-        talk_params(conversation, lines, seconds)
+        converse(conversation, lines, seconds)
     now = conversation.team()
     rows = [
         (sysid, name, param, now[sysid][name])
@@ -180,7 +194,7 @@ def restore(out: Output, plan: MissionPlan, path: Path, seconds: float, *, open_
     """
     conversation = ParamTalk(plan, wanted=_of_mission(plan, path))
     with nullcontext(open_lines) if open_lines is not None else lines_of(plan) as lines:
-        talk_params(conversation, lines, seconds)
+        converse(conversation, lines, seconds)
     rows = [
         (sysid, name, before, after)
         for sysid, params in sorted(conversation.changed().items())

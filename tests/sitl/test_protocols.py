@@ -335,20 +335,43 @@ def test_px4_takes_parameters_of_their_own_type_only() -> None:
 
 
 @pytest.mark.parametrize("kind", [1, 2])
-def test_fences_and_rally_points_are_refused_and_leave_the_flight_alone(kind: int) -> None:
+def test_fences_and_rally_points_are_kept_beside_the_mission_and_leave_it_alone(kind: int) -> None:
     ground = Ground(world())
     ground.run(2.5)
     _upload(ground, [_item(22), _item(16)])
-    for name, more in (("MISSION_COUNT", {"count": 2}), ("MISSION_COUNT", {}), ("MISSION_CLEAR_ALL", {})):
+    command, vertices = (5001, 3.0) if kind == 1 else (5100, 0.0)
+
+    def put(count: int, *commands: int) -> list[int]:
+        """Uploads items of these commands; returns how that was answered."""
         before = ground.t_s
-        ground.send(name, target_system=1, target_component=1, mission_type=kind, **more)
+        ground.send("MISSION_COUNT", target_system=1, target_component=1, mission_type=kind, count=count)
+        for seq, item in enumerate(commands):
+            ground.run(0.04)
+            ground.send(
+                "MISSION_ITEM_INT", target_system=1, target_component=1, mission_type=kind, seq=seq, command=item,
+                frame=0, param1=vertices, x=473977420 + seq, y=85455940,
+            )  # fmt: skip
         ground.run(0.04)
-        acks = [(m.type, m.mission_type) for _, m in ground.all("MISSION_ACK", since_s=before)]
-        assert acks == [(3, kind)]
-        assert ground.all("MISSION_REQUEST_INT", since_s=before + 1e-6) == []
-    ground.send("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=0, mission_type=kind)
+        return [m.type for _, m in ground.all("MISSION_ACK", since_s=before) if m.mission_type == kind]
+
+    assert put(3, command, command, command) == [0]
+    assert put(2, command, 16) == [3]  # a waypoint is no part of either
+    assert put(2, command, command) == ([1] if kind == 1 else [0])  # two corners enclose nothing
+    ground.send("MISSION_REQUEST_LIST", target_system=1, target_component=1, mission_type=kind)
+    ground.send("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=1, mission_type=kind)
+    ground.run(0.04)
+    assert ground.last("MISSION_COUNT").count == (3 if kind == 1 else 2)
+    told = ground.last("MISSION_ITEM_INT")
+    assert (told.seq, told.command, told.x, told.mission_type) == (1, command, 473977421, kind)
+    ground.send("MISSION_REQUEST_INT", target_system=1, target_component=1, seq=3, mission_type=kind)
     ground.run(0.04)
     assert (ground.last("MISSION_ACK").type, ground.last("MISSION_ACK").mission_type) == (13, kind)
+    ground.send("MISSION_CLEAR_ALL", target_system=1, target_component=1, mission_type=kind)
+    ground.run(0.04)
+    assert (ground.last("MISSION_ACK").type, ground.world.autopilots[0].mission.beside[kind]) == (0, [])
+    ground.send("MISSION_COUNT", target_system=1, target_component=1, mission_type=7, count=2)
+    ground.run(0.04)
+    assert (ground.last("MISSION_ACK").type, ground.last("MISSION_ACK").mission_type) == (3, 7)
     assert len(ground.world.autopilots[0].mission.items) == 2
     ground.send("MISSION_CLEAR_ALL", target_system=1, target_component=1, mission_type=255)
     ground.run(0.04)

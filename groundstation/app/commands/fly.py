@@ -92,6 +92,7 @@ def check(
 ) -> None:
     """Checks a mission and its vehicles on their pads; arms nothing, and sets parameters only with --fix."""
     from groundstation.app.check_screen import rows_as_values, show_rows
+    from groundstation.app.fence_giving import give_fence
     from groundstation.app.flying import judged, period_ns, refusal, refused_frames, with_fix
     from groundstation.app.loop import FlightClock, Interrupts, fly_real
     from groundstation.app.opening import open_flight
@@ -103,6 +104,7 @@ def check(
 
     out = Output(as_json=as_json)
     plan = judged(out, find_config(mission, "missions"), with_fix(changes, fix=fix))
+    fences = give_fence(out, plan, may_set=fix)
     interrupts = Interrupts()
     keeper = BeforeKeeper(before_path(Path("flights") / f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}.tlog"))
     with ExitStack() as stack:
@@ -133,8 +135,8 @@ def check(
     out.result(
         {
             "mission": plan.spec.name,
-            "ready": runner.outcome == "completed",
-            "problems": runner.problems,
+            "ready": runner.outcome == "completed" and not fences,
+            "problems": [*runner.problems, *fences],
             "signing": refused,
             "failsafe": runner.failsafe.words,
             "vehicles": rows_as_values(rows),
@@ -142,4 +144,6 @@ def check(
         }
     )
     if runner.outcome != "completed":
-        raise PreflightRefused(refusal("; ".join([runner.reason or "interrupted", *troubles, *refused])))
+        raise PreflightRefused(refusal("; ".join([runner.reason or "interrupted", *troubles, *refused, *fences])))
+    if fences:
+        raise PreflightRefused(refusal("; ".join(fences)))

@@ -69,6 +69,7 @@ def build_plan(
     for key, shape in formed.items():
         check_shape(spec, shape.formation, region, floor_m=_floor(spec), source=source, key=key)
     _check_takeoff(spec, pads, source)
+    _check_upload(spec, source)
     links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
     addresses = tuple(parse_address(link) for link in links)
     check_signing(spec, addresses, source)
@@ -227,6 +228,16 @@ def _check_vehicles(
             parse_address(vehicle.link)
         except UserError as error:
             raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
+
+
+def _check_upload(spec: MissionSpec, source: str) -> None:
+    """Refuses a fence for the autopilots where nobody knows where on earth it lies."""
+    on_earth = spec.anchor is not None or any(v.position == "global" or v.origin == "gps" for v in spec.vehicles)
+    if spec.fence.upload and not on_earth:
+        raise UserError(
+            f"{source}: fence.upload: true needs a place on earth, and no vehicle has one; give an anchor, vehicles"
+            " with origin: gps, or leave it out"
+        )
 
 
 def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:

@@ -255,10 +255,18 @@ class LandSpec(_Strict):
 
 
 class FenceSpec(_Strict):
-    """Box that no vehicle may leave, team frame, ENU."""
+    """Box that no vehicle may leave, team frame, ENU, and whether the autopilots are given it."""
 
     min_m: Point
     max_m: Point
+    upload: bool = False
+    rally: bool = False
+
+    @model_validator(mode="after")
+    def _rally_goes_with_it(self) -> FenceSpec:
+        if self.rally and not self.upload:
+            raise ValueError("rally goes with upload: true")
+        return self
 
 
 class _FlightLimits(_Strict):
