@@ -23,6 +23,7 @@ FENCE, RALLY = 1, 2
 _NAMES = {FENCE: "fence", RALLY: "rally point"}
 _POLYGON_VERTEX, _RALLY_POINT = 5001, 5100  # MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, MAV_CMD_NAV_RALLY_POINT
 _GLOBAL, _RELATIVE = 0, 3  # MAV_FRAME
+_ABOVE_HOME = (3, 6)  # PX4 tells the second of them, ArduPilot the first
 _RESULTS = {
     1: "an error", 2: "a frame that it does not know", 3: "an item that it does not know", 4: "no room",
     5: "a wrong parameter", 13: "items out of order", 14: "denied",
@@ -61,7 +62,8 @@ class Item:
         """How far away another item is that is meant to be the same; infinite for another kind."""
         if (self.command, round(self.param1)) != (other.command, round(other.param1)):
             return math.inf
-        if self.command == _RALLY_POINT and (self.frame != other.frame or abs(self.z - other.z) > _SAME_M):
+        above_home = [item.frame in _ABOVE_HOME for item in (self, other)]
+        if self.command == _RALLY_POINT and (len(set(above_home)) > 1 or abs(self.z - other.z) > _SAME_M):
             return math.inf
         east = (self.y - other.y) * math.cos(math.radians(self.x * 1e-7))
         return _EARTH_M_PER_UNIT * math.hypot(self.x - other.x, east)
@@ -303,7 +305,7 @@ class FenceTalk:
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
-        return not any(item.kinds for item in self._vehicles)
+        return not self._answers and not any(item.kinds for item in self._vehicles)
 
     def troubles(self) -> list[str]:
         """What is not as it should be, a line each."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 from groundstation.app.emulator import served_world, world_config
 from groundstation.app.fence_talk import FENCE, RALLY, FenceTalk, corners_m
 from groundstation.core.errors import UserError
+from groundstation.mavlink.codec import Frame, FrameSplitter, decode
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
 from sitl.world import World
@@ -88,6 +88,22 @@ def test_the_fence_and_each_ones_own_pad_are_uploaded_and_read_back_on_both_auto
     again = _talk(plan, world, may_set=False)  # what is there already is not sent again
     assert (again.troubles(), again.uploaded()) == ([], [])
     assert [pilot.mission.beside[FENCE] for pilot in world.autopilots] == before
+
+
+def test_every_reading_is_closed_by_an_answer_or_firmware_waits_for_it_and_complains() -> None:
+    plan, closed = _plan(ANCHOR), [0, 0]
+    world = _world(plan)
+    receive = world.receive
+
+    def listen(vehicle: int, data: bytes, now_ns: int) -> None:
+        (frame,) = FrameSplitter().feed(data)
+        assert isinstance(frame, Frame)
+        closed[vehicle] += decode([frame])[0].name == "MISSION_ACK"
+        receive(vehicle, data, now_ns)
+
+    world.receive = listen  # type: ignore[method-assign]
+    assert _talk(plan, world).troubles() == []
+    assert closed == [4, 4]  # fence and rally point, before and after
 
 
 def test_without_an_anchor_the_fence_hangs_on_the_first_vehicle_as_the_team_does() -> None:
@@ -185,4 +201,3 @@ def test_check_says_that_it_is_missing_and_with_fix_uploads_it(
         code, out, err = gs(["check", "--mission", "hello1", "--fix", *changes], monkeypatch, capsys)
         assert "vehicle 1: fence uploaded, and read back" in err
         assert len(world.autopilots[0].mission.beside[FENCE]) == 4
-    assert math.isfinite(port)
