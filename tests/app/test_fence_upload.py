@@ -90,7 +90,7 @@ def test_the_fence_and_each_ones_own_pad_are_uploaded_and_read_back_on_both_auto
     assert [pilot.mission.beside[FENCE] for pilot in world.autopilots] == before
 
 
-def test_every_reading_is_closed_by_an_answer_or_firmware_waits_for_it_and_complains() -> None:
+def test_every_reading_is_closed_by_an_answer_or_firmware_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     plan, closed = _plan(ANCHOR), [0, 0]
     world = _world(plan)
     receive = world.receive
@@ -101,7 +101,7 @@ def test_every_reading_is_closed_by_an_answer_or_firmware_waits_for_it_and_compl
         closed[vehicle] += decode([frame])[0].name == "MISSION_ACK"
         receive(vehicle, data, now_ns)
 
-    world.receive = listen  # type: ignore[method-assign]
+    monkeypatch.setattr(world, "receive", listen)
     assert _talk(plan, world).troubles() == []
     assert closed == [4, 4]  # fence and rally point, before and after
 
