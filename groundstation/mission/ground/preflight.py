@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.core.speeds import Speeds
-from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
@@ -21,13 +20,13 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.check_table import CheckRow, check_rows
 from groundstation.mission.ground.checks import Checks
 from groundstation.mission.ground.origins import Origins
+from groundstation.mission.ground.speed_check import SpeedCheck
 from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.reasons.blame import HELP_IN_THE_AIR
 from groundstation.mission.timing import SECOND_NS, AskAgain, Held, Since
 
-_ORIGIN_MOVES_M = 0.5  # between two ticks: a new origin, no motion
 _ASK_AGAIN_NS = 5 * SECOND_NS
 _REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * SECOND_NS, 10 * SECOND_NS
 _REASON_PATIENCE_NS = 3 * SECOND_NS
@@ -114,9 +113,7 @@ class Preflight:
         self._checked = [False] * plan.size
         self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
-        self._speeds, self._last_ns = Speeds(plan.size), NEVER
-        self._stood_ned_m: FloatArray = np.full((plan.size, 3), np.nan)
-        self._global: BoolArray = np.array([vehicle.position == "global" for vehicle in plan.spec.vehicles])
+        self._speeds = SpeedCheck(plan, station.fleet)
 
     def step(self, now_ns: int, said: Mapping[int, str], pos_team_ned_m: FloatArray) -> GroundState:
         """Asks for what is missing and looks at what is there.
@@ -132,7 +129,7 @@ class Preflight:
         off_m = self._frame.off_pad_m(pos_team_ned_m)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
-        self._measure_speeds(pos_team_ned_m, pose_ns, now_ns)
+        self._speeds.look(now_ns, pos_team_ned_m, pose_ns)
         # A place that is in doubt accuses nobody else.
         doubted = self._origins.doubted(now_ns)
         positions = np.where(doubted[:, None], np.nan, pos_team_ned_m)
@@ -179,7 +176,7 @@ class Preflight:
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
                 or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), positions, state)
-                or self._speed(vehicle)
+                or self._speeds.words(vehicle)
                 or self.checks.waiting(vehicle, now_ns, positions)
             )
             held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
@@ -240,19 +237,6 @@ class Preflight:
                 f" also what is no autopilot, {part.words}; its heartbeats count for nothing; give it a component of"
                 " its own"
             )
-
-    def _measure_speeds(self, pos_team_ned_m: FloatArray, pose_ns: IntArray, now_ns: int) -> None:
-        """Holds velocities against positions, as in the air."""
-        passed_s = (now_ns - self._last_ns) / SECOND_NS if self._last_ns != NEVER else 0.0
-        self._last_ns = now_ns
-        if passed_s > 0.0:
-            fleet, limits = self._station.fleet, self._plan.spec.limits
-            vel_ned_m_s = np.where(self._global[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
-            fresh = np.asarray(now_ns - pose_ns <= limits.pose_age_s * SECOND_NS)
-            moved_m = np.linalg.norm(pos_team_ned_m - self._stood_ned_m, axis=1)
-            self._stood_ned_m = pos_team_ned_m.copy()
-            self._speeds.forget(np.asarray(moved_m > _ORIGIN_MOVES_M))
-            self._speeds.take(pos_team_ned_m, vel_ned_m_s, passed_s, fresh)
 
     # What is not well yet: each returns a problem in words, or None
 
@@ -358,15 +342,6 @@ class Preflight:
         if stuck and self._mode_asking.due(vehicle, now_ns):
             self._mode_asking.asked(vehicle, now_ns)
             self._station.commands.request(vehicle, autopilot.idle_mode())
-
-    def _speed(self, vehicle: int) -> str | None:
-        off_m_s, limit_m_s = float(self._speeds.rms_m_s[vehicle]), self._plan.spec.limits.velocity_error_m_s
-        if off_m_s <= limit_m_s:
-            return None
-        return (
-            f"its velocity is wrong: {off_m_s:.2f} m/s off what its positions do, limit {limit_m_s:g} m/s; let it stand"
-            " still, or restart its estimator"
-        )
 
     def _clock(self, vehicle: int, now_ns: int, state: GroundState) -> str | None:
         clocks = self._station.fleet.clocks
