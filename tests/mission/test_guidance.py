@@ -57,15 +57,51 @@ def test_a_fast_obstacle_is_seen_from_farther() -> None:
 
 
 def test_one_that_comes_down_with_an_extra_radius_is_left_once_and_not_twice() -> None:
-    above = poses_of([0.0, 0.0, -1.0], [0.5, 0.0, -2.0])
+    """Beside its column; who is in it leaves as fast as it may."""
+    beside_m = 0.6
+    above = poses_of([0.0, 0.0, -1.0], [beside_m, 0.0, -2.0])
     sinking = np.zeros(8, dtype=np.bool_)
     sinking[1] = True
     extra = np.array([0.0, 0.2, *[0.0] * 6])
     falling = dataclasses.replace(above, sinking=sinking, extra_radius_m=extra)
     rate_1_s = 1.0 / (4 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
     assert settled(falling, [0.0, 0.0, -1.0])[0] == pytest.approx(
-        rate_1_s * (0.5 - 0.45 - PLAN.keep_out_margin_m - 0.2), abs=1e-6
+        rate_1_s * (beside_m - 0.45 - PLAN.keep_out_margin_m - 0.2), abs=1e-6
     )
+
+
+@pytest.mark.parametrize("height_m", [0.25, 0.41, 1.0])
+def test_who_is_under_one_that_comes_down_leaves_at_full_speed_and_goes_down_where_there_is_room(
+    height_m: float,
+) -> None:
+    above = poses_of([0.0, 0.0, -height_m], [0.02, 0.0, -height_m - 0.9])
+    sinking = np.zeros(8, dtype=np.bool_)
+    sinking[1] = True
+    speed_m_s = PLAN.spec.speed_limit_m_s
+    flees = settled(dataclasses.replace(above, sinking=sinking), [0.0, 0.0, -height_m - 1.0])
+    assert np.linalg.norm(flees) == pytest.approx(speed_m_s, rel=0.02)
+    assert flees[0] < -0.6 * speed_m_s  # away, though its target is straight above it
+    floor_m = 0.5 * PLAN.min_altitude_m
+    assert flees[2] >= 0.3 * min(speed_m_s, (height_m - floor_m) / 0.25)
+    stays = settled(above, [0.0, 0.0, -height_m])
+    assert abs(stays).max() < 1e-9
+
+
+def test_who_flees_goes_no_lower_than_half_the_height_of_formation_flight() -> None:
+    floor_m = 0.5 * PLAN.min_altitude_m
+    helm, pos, vel = Helm(Guide(PLAN), PLAN.size), np.array([0.0, 0.0, -0.45]), np.zeros(3)
+    sinking = np.zeros(8, dtype=np.bool_)
+    sinking[1] = True
+    heights = []
+    for _ in range(150):
+        # The one above follows, so that it has no end.
+        poses = dataclasses.replace(poses_of(pos.tolist(), [*pos[:2].tolist(), -1.4]), sinking=sinking)
+        poses.vel_ned_m_s[0] = vel
+        told = helm.to_targets(poses, poses.pos_team_ned_m).vel_ned_m_s[0]
+        vel = vel + 0.02 / PLAN.profile.lag_s * (told - vel)
+        pos = pos + 0.02 * vel
+        heights.append(-pos[2])
+    assert floor_m - 0.02 < min(heights) < floor_m + 0.05
 
 
 def test_extra_radii_belong_to_vehicles() -> None:

@@ -661,3 +661,41 @@ def test_radius_of_obstacles_can_be_set_and_left_out() -> None:
     scene.run(0.1)
     assert not scene.obstacle_m().any()
     assert scene.plan.limits.lost_radius_m == 0.0
+
+
+def _put_above(scene: Scene, beside_m: float) -> None:
+    """The seventh vehicle above the fourth, from the beginning: nobody jumps."""
+    scene.pos[6] = scene.pos[3] - [beside_m, 0.0, 0.9]
+    scene.run(0.1)
+
+
+@pytest.mark.parametrize("told_by", ["mode", "landed state"])
+@pytest.mark.parametrize("below", ["flies", "stands", "falls too"])
+def test_one_that_comes_down_by_itself_onto_somebody_is_told_at_once_with_both_names(told_by: str, below: str) -> None:
+    scene = Scene()
+    _put_above(scene, 0.05)
+    if told_by == "mode":
+        scene.fleet.custom_mode[6], scene.vel[6, 2] = LAND, 0.4
+    else:
+        scene.fleet.landed_state[6] = LANDED_LANDING
+    if below == "stands":
+        scene.fleet.armed[3] = False
+        scene.roster.release([3])
+    elif below == "falls too":
+        scene.fleet.landed_state[3] = LANDED_LANDING
+    said = [text for text in scene.tick().alarms if "comes down by itself" in text]
+    then = "which gets out of the way" if below == "flies" else "and cannot be told to leave; keep people away"
+    assert said == [f"vehicle 7: comes down by itself, vehicle 4 is 0.9 m below and 0.05 m beside, {then}"]
+    assert not [text for found in scene.run(1.0) for text in found.alarms if "comes down by itself" in text]
+
+
+def test_one_that_lands_at_our_word_or_beside_others_or_only_leaves_its_mode_does_not_come_down_by_itself() -> None:
+    for case in ("told", "beside", "level"):
+        scene = Scene()
+        _put_above(scene, 0.45 if case == "beside" else 0.05)
+        if case == "told":
+            scene.roster.land([6], scene.now_ns)
+            scene.roster.tell_to_land(6, scene.now_ns)
+        scene.fleet.custom_mode[6] = LOITER if case == "level" else LAND
+        scene.vel[6, 2] = 0.0 if case == "level" else 0.5
+        assert not [text for found in scene.run(1.0) for text in found.alarms if "comes down by itself" in text], case

@@ -26,6 +26,7 @@ from groundstation.core.places import Places, own_places
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
+from groundstation.mission.flight.fleeing import Fleeing
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
@@ -122,6 +123,7 @@ class Guide:
         self._own_avoidance = (
             OwnAvoidance(f"avoidance {own[AVOIDANCE].use}", own[AVOIDANCE].make(), ids) if AVOIDANCE in own else None
         )
+        self._fleeing = Fleeing(plan, self._damper.radius_m + self._damper.margin_m)
 
     def take_words(self) -> list[str]:
         """What people should know of a law of one's own, each thing once."""
@@ -342,6 +344,9 @@ class Guide:
         turn: Callable[[LocalViews, FloatArray, SafetyRegion], Avoided] = own_avoidance or avoid
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = poses.rot_ned_from_flu
+        flee_ned_m_s = self._fleeing.wishes_ned_m_s(poses)
+        if flee_ned_m_s is not None:
+            box = self._fleeing.with_lower_floor(box)
         # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.
         ahead_ned_m = poses.pos_team_ned_m + self._stopping_s * poses.vel_ned_m_s
         low_m_s, high_m_s = fence_bounds(ahead_ned_m, box, self._approach_rate_1_s)
@@ -349,6 +354,9 @@ class Guide:
         if detour_enu_m_s is not None:
             detour_flu_m_s = _flu_from_enu(poses, detour_enu_m_s)
             wish_flu_m_s = np.where(np.isfinite(detour_flu_m_s), detour_flu_m_s, wish_flu_m_s)
+        if flee_ned_m_s is not None:
+            flee_flu_m_s = frames.rotate_back(rot_ned_from_flu, flee_ned_m_s)
+            wish_flu_m_s = np.where(np.isfinite(flee_flu_m_s), flee_flu_m_s, wish_flu_m_s)
         common_flu, room = None, 1.0
         if common_enu_m_s is None:
             avoided = turn(views, wish_flu_m_s, self._region)

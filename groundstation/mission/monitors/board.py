@@ -20,6 +20,7 @@ from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.sinking import Sinking
 from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.monitors.wind import Wind
@@ -61,7 +62,8 @@ class Board:
         self._monitors: tuple[Monitor, ...] = (
             self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
             self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan),
-            Descents(plan, self.wind, self.speeds), self._modes, LateTicks(plan), self._contradictions,
+            Descents(plan, self.wind, self.speeds), self._modes, Sinking(plan, self._modes), LateTicks(plan),
+            self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)

@@ -1,0 +1,49 @@
+"""Vehicles that come down by themselves with somebody below: an autopilot that lands at its own word asks nobody.
+
+Nothing stops it. Those below leave its column (``Guide``) as long as they are told; people have to know of all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from groundstation.core.types import BoolArray
+from groundstation.mavlink.vehicle import LANDED_LANDING
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.vehicles import Modes
+from groundstation.mission.plan.plan import MissionPlan
+
+_SINKS_M_S = 0.25  # slower than any landing, faster than one that hovers
+
+
+class Sinking:
+    """Autopilots that come down onto somebody, though nobody told them to land."""
+
+    def __init__(self, plan: MissionPlan, modes: Modes) -> None:
+        n = plan.size
+        self._modes = modes
+        # Pads may be exactly r apart, and positions are off by something.
+        self._beside_m = max(plan.spec.avoidance.radius_m - plan.margin_m, 0.5 * plan.spec.avoidance.radius_m)
+        self._by_itself: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._told = Lasting(n * n)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Tells who comes down by itself, and who is below."""
+        fleet, n = sight.fleet, len(sight.fleet)
+        self._by_itself = (self._by_itself | (self._modes.foreign & ~sight.excused)) & fleet.armed
+        if not self._by_itself.any():
+            return
+        stands = ~sight.airborne
+        sinks = (sight.vel_ned_m_s[:, 2] > _SINKS_M_S) | (fleet.landed_state == LANDED_LANDING)
+        sinks &= self._by_itself & ~stands & ~sight.blind
+        away_m = sight.pos_team_ned_m[None] - sight.pos_team_ned_m[:, None]  # from who sinks to who is below
+        beside_m, below_m = np.hypot(away_m[..., 0], away_m[..., 1]), away_m[..., 2]
+        under = sinks[:, None] & (below_m > 0.0) & (beside_m < self._beside_m) & ~np.eye(n, dtype=np.bool_)
+        for pair in self._told(under.ravel(), sight.now_ns):
+            who, other = divmod(pair, n)
+            what = f"vehicle {fleet.sysid[other]} is {below_m[who, other]:.1f} m below and {beside_m[who, other]:.2f} m"
+            can_leave = ours[other] and not (stands | sight.blind | self._by_itself)[other]
+            then = "which gets out of the way" if can_leave else "and cannot be told to leave; keep people away"
+            yield Finding(Reaction.SAY, f"comes down by itself, {what} beside, {then}", (who,))
