@@ -94,10 +94,14 @@ def log_path_of(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: 
     Raises:
         UserError: the file exists and must be kept, or its folder cannot be made.
     """
-    name = f"{plan.spec.name}-seed{seed}" if dry_run else f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    path = wanted or _free(_FLIGHTS, name)
+    path = wanted or (_free(_FLIGHTS, f"{plan.spec.name}-seed{seed}") if dry_run else dated_path(plan))
     claim_log(path, lambda there: dry_run and there.dry_run)
     return path
+
+
+def dated_path(plan: MissionPlan) -> Path:
+    """Where a flight that begins now is recorded, if nothing else is wished; not there yet."""
+    return _free(_FLIGHTS, f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
 
 def _free(folder: Path, name: str) -> Path:

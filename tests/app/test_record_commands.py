@@ -100,7 +100,7 @@ def test_import_of_a_missing_folder_leaves_nothing(tmp_path: Path) -> None:
 
 def test_verify_adds_its_figures_and_fails_on_a_mismatch(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good = VerifyResult(ticks=5, setpoints=40, mismatches=0, max_error_m_s=0.0)
-    monkeypatch.setattr("groundstation.app.verify.verify_log", lambda path: good)
+    monkeypatch.setattr("groundstation.app.verify.verify_log", lambda path, source: good)
     values = run("replay", str(log), "--verify")
     assert {key: values[key] for key in ("ticks", "setpoints", "mismatches", "max_error_m_s")} == {
         "ticks": 5,
@@ -109,7 +109,7 @@ def test_verify_adds_its_figures_and_fails_on_a_mismatch(log: Path, monkeypatch:
         "max_error_m_s": 0.0,
     }
     bad = VerifyResult(ticks=5, setpoints=40, mismatches=2, max_error_m_s=0.25)
-    monkeypatch.setattr("groundstation.app.verify.verify_log", lambda path: bad)
+    monkeypatch.setattr("groundstation.app.verify.verify_log", lambda path, source: bad)
     with pytest.raises(MissionFailed, match=r"2 frames differ .* by up to 0\.25 m/s"):
         run("replay", str(log), "--verify")
 

@@ -17,7 +17,7 @@ from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.positioning import POSITION_ERROR_M, margin_deviations, margin_m
 from groundstation.mission.plan.profiles import PROFILES
-from groundstation.mission.plan.reading import plan_from_record
+from groundstation.mission.plan.reading import load_mission, plan_from_record
 from tests.app.flights import CUBE8, FULL_RATE, cube8, mission, pair
 
 GPS_MARGIN_M = 3.0 * math.sqrt(2.0) * 0.24
@@ -210,7 +210,7 @@ def test_what_the_argument_assumes_is_told_for_every_mission_that_comes_along() 
     rows = _rows("| mission | `delay_product`")
     assert [row[0] for row in rows] == sorted(path.stem for path in CUBE8.parent.glob("*.yaml"))
     for name, product, speeds, late in rows:
-        plan = mission(name) if name == "first_flight2" else mission(name, FULL_RATE)
+        plan = load_mission(CUBE8.parent / f"{name}.yaml")
         v, a, profile = plan.spec.speed_limit_m_s, plan.acceleration_limit_m_s2, plan.profile
         params = DamperParams(
             1.0, 0.0, profile.lag_s, profile.delay_s, 1.0 / plan.spec.rate_hz, speed_limit_m_s=v, accel_limit_m_s2=a

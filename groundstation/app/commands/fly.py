@@ -93,7 +93,7 @@ def check(
     """Checks a mission and its vehicles on their pads; arms nothing, and sets parameters only with --fix."""
     from groundstation.app.check_screen import rows_as_values, show_rows
     from groundstation.app.fence_giving import give_fence
-    from groundstation.app.flying import judged, period_ns, refusal, refused_frames, with_fix
+    from groundstation.app.flying import dated_path, judged, period_ns, refusal, refused_frames, with_fix
     from groundstation.app.loop import FlightClock, Interrupts, fly_real
     from groundstation.app.opening import open_flight
     from groundstation.app.param_keeping import BeforeKeeper, before_path, offer_back
@@ -106,7 +106,7 @@ def check(
     plan = judged(out, find_config(mission, "missions"), with_fix(changes, fix=fix))
     fences = give_fence(out, plan, may_set=fix)
     interrupts = Interrupts()
-    keeper = BeforeKeeper(before_path(Path("flights") / f"{plan.spec.name}-{time.strftime('%Y%m%d-%H%M%S')}.tlog"))
+    keeper = BeforeKeeper(before_path(dated_path(plan)))
     with ExitStack() as stack:
         purpose = Purpose.PREPARE if fix else Purpose.LOOK
         flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
