@@ -115,7 +115,8 @@ def test_what_arducopter_fuses_once_it_has_an_origin(name: str, frame: int, acce
     ground.run(1.0, feeding(ground, name, 1, frame))
     assert bool(ground.all("LOCAL_POSITION_NED")) == accepted
     ground.run(0.04)
-    assert ground.ask(176, 1, 4) == (0 if accepted else 4)
+    assert ground.ask(176, 1, 4) == 0  # disarmed it takes the mode, with a position or without
+    assert ground.ask(400, 1, 1) == (0 if accepted else 4)  # arming asks for the position
 
 
 def test_without_gps_and_vision_offboard_cannot_be_armed() -> None:
