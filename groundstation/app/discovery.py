@@ -21,13 +21,16 @@ from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mavlink.clocks import BootTimes
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
 from groundstation.mavlink.kinds import kind_of, type_words, unflown_words
-from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
-from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
+from groundstation.mavlink.station import (
+    GROUND_STATION_COMPID,
+    GROUND_STATION_SYSID,
+    Outgoing,
+    ground_station_heartbeat,
+)
+from groundstation.mavlink.vehicle import ARMED_FLAG, AUTOPILOT_COMPID
 from groundstation.mission.plan.schema import VEHICLE_IDS
 
 _HELLO_NS = 500_000_000
-_TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
-_ARMED_FLAG = 0x80
 _STALE_NS = 3_000_000_000
 _FOUND_MAX = 1_000
 _PEERS_MAX = 16
@@ -140,7 +143,7 @@ class Discovery:
                     found = self.found[link, frame.sysid] = Found(link, frame.sysid, kind, number, sender.mav_type)
                 # ArduPilot's helicopters begin as quadrotors: the newest word counts.
                 found.autopilot, found.mav_autopilot, found.mav_type = kind, number, sender.mav_type
-                found.mode, found.armed = int(values["custom_mode"]), bool(values["base_mode"] & _ARMED_FLAG)
+                found.mode, found.armed = int(values["custom_mode"]), bool(values["base_mode"] & ARMED_FLAG)
                 if peer in found.heard_ns or len(found.heard_ns) < _PEERS_MAX:
                     found.heard_ns[peer] = now_ns
             elif batch.name == "GLOBAL_POSITION_INT" and found is not None and (values["lat"] or values["lon"]):
@@ -157,13 +160,7 @@ class Discovery:
         if now_ns < self._next_hello_ns:
             return []
         self._next_hello_ns = now_ns + _HELLO_NS
-        hello = self._encoder.encode(
-            "HEARTBEAT",
-            type=_TYPE_GCS,
-            autopilot=_AUTOPILOT_INVALID,
-            system_status=_STATE_ACTIVE,
-            mavlink_version=_MAVLINK_VERSION,
-        )
+        hello = ground_station_heartbeat(self._encoder)
         greeted = {(link, address.peer) for link, address in enumerate(self._addresses) if address.peer}
         greeted |= {(found.link, peer) for found in self.found.values() for peer in found.heard_ns}
         sent = [Outgoing(link, peer, (hello,)) for link, peer in sorted(greeted)]

@@ -12,8 +12,8 @@ from typing import Any
 
 import pymap3d
 
-from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
-from groundstation.mavlink.kinds import kind_of
+from groundstation.app.team_talk import TalkedTo, TeamTalk
+from groundstation.mavlink.codec import Batch
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
@@ -29,9 +29,8 @@ _RESULTS = {
     5: "a wrong parameter", 13: "items out of order", 14: "denied",
 }  # fmt: skip
 _ANSWERS = ("MISSION_COUNT", "MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ITEM_INT", "MISSION_ACK")
-_HELLO_NS, _AGAIN_NS = 1_000_000_000, 1_000_000_000
+_AGAIN_NS = 1_000_000_000
 _TRIES = 8
-_ARMED_FLAG = 0x80
 _ITEMS_MAX = 200
 _SAME_M = 0.1
 _SAME_GPS_M = 3.0  # where the team's place on earth is what its first vehicle's GPS says today
@@ -99,15 +98,11 @@ def items_for(plan: MissionPlan, vehicle: int, anchor_deg_m: tuple[float, float,
     return wanted
 
 
-@dataclass
-class _Vehicle:
+@dataclass(kw_only=True)
+class _Vehicle(TalkedTo):
     """How one vehicle is coming on; ``kinds`` are those that are still to be looked at, the first one now."""
 
-    sysid: int
-    link: int
     kinds: list[int]
-    peer: str = ""
-    armed: bool | None = None
     sending: bool = False
     sent: set[int] = field(default_factory=set)
     count: int | None = None
@@ -119,7 +114,7 @@ class _Vehicle:
     changed: list[str] = field(default_factory=list)
 
 
-class FenceTalk:
+class FenceTalk(TeamTalk[_Vehicle]):
     """A talk with a mission's vehicles about their fences.
 
     Args:
@@ -129,45 +124,25 @@ class FenceTalk:
 
     def __init__(self, plan: MissionPlan, *, may_set: bool) -> None:
         self._plan, self._may_set = plan, may_set
-        self._addresses = plan.addresses
         kinds = [FENCE, *([RALLY] if plan.spec.fence.rally else [])]
-        self._vehicles = [
-            _Vehicle(vehicle.id, link, list(kinds))
-            for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)
-        ]
-        self._number = {(item.link, item.sysid): number for number, item in enumerate(self._vehicles)}
+        vehicles = zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)
+        super().__init__(plan, [_Vehicle(vehicle.id, link, kinds=list(kinds)) for vehicle, link in vehicles])
         anchor = plan.spec.anchor
         self._anchor = None if anchor is None else (anchor.lat_deg, anchor.lon_deg, anchor.alt_m)
         self._same_m = _SAME_GPS_M if anchor is None else _SAME_M
         # Without an anchor the team hangs on its first vehicle with GPS, as in flight.
         self._hangs_on = next((i for i in range(plan.size) if plan.uses_gps(i)), 0)
-        self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._splitters = Splitters()
-        self._next_hello_ns = 0
         self._answers: list[Outgoing] = []
 
     # What comes in
 
-    def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
-        """Takes what came over a link."""
-        for piece in self._splitters.feed((link, peer), data, stream=self._addresses[link].is_stream):
-            if not isinstance(piece, Frame) or piece.compid != AUTOPILOT_COMPID:
-                continue
-            number = self._number.get((link, piece.sysid))
-            if number is not None:
-                self._take(number, peer, piece, now_ns)
-
-    def _take(self, number: int, peer: str, frame: Frame, now_ns: int) -> None:
-        item, sender = self._vehicles[number], kind_of(frame)
-        for batch in decode([frame]):
-            values = batch.values[0]
-            if sender is not None and sender.is_autopilot:
-                item.peer, item.armed = peer, bool(values["base_mode"] & _ARMED_FLAG)
-            elif batch.name == "GLOBAL_POSITION_INT":
-                if self._anchor is None and number == self._hangs_on and (values["lat"] or values["lon"]):
-                    self._hang(values["lat"] * 1e-7, values["lon"] * 1e-7, values["alt"] * 1e-3)
-            elif batch.name in _ANSWERS and self._is_of(item, values):
-                self._protocol(number, item, batch.name, values, now_ns)
+    def _take(self, number: int, batch: Batch, now_ns: int) -> None:
+        item, values = self._vehicles[number], batch.values[0]
+        if batch.name == "GLOBAL_POSITION_INT":
+            if self._anchor is None and number == self._hangs_on and (values["lat"] or values["lon"]):
+                self._hang(values["lat"] * 1e-7, values["lon"] * 1e-7, values["alt"] * 1e-3)
+        elif batch.name in _ANSWERS and self._is_of(item, values):
+            self._protocol(number, item, batch.name, values, now_ns)
 
     def _is_of(self, item: _Vehicle, values: Any) -> bool:
         """Whether an answer is to us, and of what is being looked at."""
@@ -244,14 +219,10 @@ class FenceTalk:
     def outgoing(self, now_ns: int) -> list[Outgoing]:
         """What is to be sent now."""
         sent, self._answers = self._answers, []
-        if now_ns >= self._next_hello_ns:
-            self._next_hello_ns = now_ns + _HELLO_NS
-            hello = self._encoder.encode("HEARTBEAT", type=6, autopilot=8, system_status=4, mavlink_version=3)
-            places = {(link, address.peer) for link, address in enumerate(self._addresses) if address.peer}
-            places |= {(item.link, item.peer) for item in self._vehicles if item.peer}
-            sent += [Outgoing(link, peer, (hello,)) for link, peer in sorted(places)]
-            if self._anchor is None and self._vehicles[self._hangs_on].peer:
-                sent.append(self._where())
+        greetings = self._greetings(now_ns)
+        sent += greetings
+        if greetings and self._anchor is None and self._vehicles[self._hangs_on].peer:
+            sent.append(self._where())
         for number, item in enumerate(self._vehicles):
             if not item.peer or not item.kinds or self._anchor is None or now_ns < item.next_ns:
                 continue
@@ -290,9 +261,6 @@ class FenceTalk:
 
     def _target(self, item: _Vehicle) -> dict[str, int]:
         return {"target_system": item.sysid, "target_component": AUTOPILOT_COMPID, "mission_type": item.kinds[0]}
-
-    def _to(self, item: _Vehicle, frame: bytes) -> Outgoing:
-        return Outgoing(item.link, item.peer, (frame,))
 
     def _wanted(self, number: int) -> list[Item]:
         item = self._vehicles[number]

@@ -12,12 +12,16 @@ from typing import Any
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
 from groundstation.mavlink.kinds import kind_of
 from groundstation.mavlink.signing import SecretKey, Signing, Verdict, timestamp_at
-from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
-from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
+from groundstation.mavlink.station import (
+    GROUND_STATION_COMPID,
+    GROUND_STATION_SYSID,
+    Outgoing,
+    ground_station_heartbeat,
+)
+from groundstation.mavlink.vehicle import ARMED_FLAG, AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
 
 _AGAIN_NS = 1_000_000_000
-_ARMED_FLAG = 0x80
 
 
 @dataclass
@@ -95,14 +99,14 @@ class KeySetup:
             kind = kind_of(frame)
             if kind is not None and kind.is_autopilot:
                 vehicle.peer = peer if vehicle.peer is None else vehicle.peer
-                vehicle.armed = bool(batch.values[0]["base_mode"] & _ARMED_FLAG)
+                vehicle.armed = bool(batch.values[0]["base_mode"] & ARMED_FLAG)
 
     def outgoing(self, now_ns: int) -> list[Outgoing]:
         """What is to be sent now: heartbeats, and the key to those who are known, disarmed and do not sign yet."""
         if now_ns < self._next_ns:
             return []
         self._next_ns = now_ns + _AGAIN_NS
-        hello = self._encoder.encode("HEARTBEAT", type=6, autopilot=8, system_status=4, mavlink_version=3)
+        hello = ground_station_heartbeat(self._encoder)
         sent = [
             Outgoing(link, address.peer, (hello,)) for link, address in enumerate(self._plan.addresses) if address.peer
         ]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.mavlink.codec import Encoder, Frame, Splitters, decode
-from groundstation.mavlink.kinds import kind_of
+from groundstation.app.team_talk import TalkedTo, TeamTalk
+from groundstation.mavlink.codec import Batch
 from groundstation.mavlink.params import (
     ParamDesk,
     ParamQuestion,
@@ -21,29 +21,23 @@ from groundstation.mavlink.params import (
     bits_of_value,
     value_of_bits,
 )
-from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
+from groundstation.mavlink.station import Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.records.param_file import Param, Team
 
-_HELLO_NS = 1_000_000_000
 _QUIET_NS = 1_000_000_000  # without another of the list: what is missing is asked for one by one
 _AT_ONCE = 10  # of those, in one go
 _TRIES = 6
-_ARMED_FLAG = 0x80
 _NO_INDEX = 0xFFFF
 _NOT_STORED = ("_HASH_CHECK",)  # PX4's fingerprint of all the others
 
 
-@dataclass
-class _Vehicle:
+@dataclass(kw_only=True)
+class _Vehicle(TalkedTo):
     """How one vehicle is coming on."""
 
-    sysid: int
-    link: int
     bytewise: bool
-    peer: str = ""
-    armed: bool | None = None
     count: int = 0
     named: dict[int, str] = field(default_factory=dict)  # by index, of those that were listed
     told: dict[str, Param] = field(default_factory=dict)
@@ -53,7 +47,7 @@ class _Vehicle:
     written: bool = False
 
 
-class ParamTalk:
+class ParamTalk(TeamTalk[_Vehicle]):
     """A talk with a mission's vehicles about their parameters.
 
     Args:
@@ -65,18 +59,13 @@ class ParamTalk:
     def __init__(
         self, plan: MissionPlan, *, wanted: Team | None = None, names: Mapping[int, list[str]] | None = None
     ) -> None:
-        self._addresses = plan.addresses
-        self._vehicles = [
-            _Vehicle(vehicle.id, link, autopilot.params_bytewise)
-            for vehicle, link, autopilot in zip(plan.spec.vehicles, plan.link_of_vehicle, plan.autopilots, strict=True)
-        ]
-        self._number = {(item.link, item.sysid): number for number, item in enumerate(self._vehicles)}
+        vehicles = zip(plan.spec.vehicles, plan.link_of_vehicle, plan.autopilots, strict=True)
+        super().__init__(
+            plan, [_Vehicle(item.id, link, bytewise=autopilot.params_bytewise) for item, link, autopilot in vehicles]
+        )
         self._desk = ParamDesk(len(self._vehicles))
         self._wanted = wanted
         self._listing = names is None and wanted is None
-        self._encoder = Encoder(GROUND_STATION_SYSID, GROUND_STATION_COMPID)
-        self._splitters = Splitters()
-        self._next_hello_ns = 0
         self._names = {
             item.sysid: list((wanted or {}).get(item.sysid, {}) if names is None else names.get(item.sysid, []))
             for item in self._vehicles
@@ -87,45 +76,27 @@ class ParamTalk:
 
     # What comes in
 
-    def receive(self, link: int, peer: str, data: bytes, now_ns: int) -> None:
-        """Takes what came over a link."""
-        for piece in self._splitters.feed((link, peer), data, stream=self._addresses[link].is_stream):
-            if not isinstance(piece, Frame) or piece.compid != AUTOPILOT_COMPID:
-                continue
-            number = self._number.get((link, piece.sysid))
-            if number is not None:
-                self._take(number, peer, piece, now_ns)
-
-    def _take(self, number: int, peer: str, frame: Frame, now_ns: int) -> None:
-        item, sender = self._vehicles[number], kind_of(frame)
-        for batch in decode([frame]):
-            values = batch.values[0]
-            if sender is not None and sender.is_autopilot:
-                item.peer, item.armed = peer, bool(values["base_mode"] & _ARMED_FLAG)
-            elif batch.name == "PARAM_VALUE":
-                bits = int(np.ascontiguousarray(batch.values["param_value"]).view(np.uint32)[0])
-                name = bytes(values["param_id"]).decode("ascii", "replace")
-                kind, index = int(values["param_type"]), int(values["param_index"])
-                self._desk.take(ParamValue(number, name, bits, kind, now_ns))
-                if name in _NOT_STORED:
-                    continue
-                if self._listing and index != _NO_INDEX:
-                    item.count, item.last_ns = int(values["param_count"]), now_ns
-                    if item.named.setdefault(index, name) == name:
-                        item.asked = 0
-                item.told[name] = Param(value_of_bits(bits, kind, bytewise=item.bytewise), kind)
+    def _take(self, number: int, batch: Batch, now_ns: int) -> None:
+        if batch.name != "PARAM_VALUE":
+            return
+        item, values = self._vehicles[number], batch.values[0]
+        bits = int(np.ascontiguousarray(batch.values["param_value"]).view(np.uint32)[0])
+        name = bytes(values["param_id"]).decode("ascii", "replace")
+        kind, index = int(values["param_type"]), int(values["param_index"])
+        self._desk.take(ParamValue(number, name, bits, kind, now_ns))
+        if name in _NOT_STORED:
+            return
+        if self._listing and index != _NO_INDEX:
+            item.count, item.last_ns = int(values["param_count"]), now_ns
+            if item.named.setdefault(index, name) == name:
+                item.asked = 0
+        item.told[name] = Param(value_of_bits(bits, kind, bytewise=item.bytewise), kind)
 
     # What goes out
 
     def outgoing(self, now_ns: int) -> list[Outgoing]:
         """What is to be sent now."""
-        sent: list[Outgoing] = []
-        if now_ns >= self._next_hello_ns:
-            self._next_hello_ns = now_ns + _HELLO_NS
-            hello = self._encoder.encode("HEARTBEAT", type=6, autopilot=8, system_status=4, mavlink_version=3)
-            places = {(link, address.peer) for link, address in enumerate(self._addresses) if address.peer}
-            places |= {(item.link, item.peer) for item in self._vehicles if item.peer}
-            sent += [Outgoing(link, peer, (hello,)) for link, peer in sorted(places)]
+        sent = self._greetings(now_ns)
         for number, item in enumerate(self._vehicles):
             if not item.peer:
                 continue
@@ -172,9 +143,6 @@ class ParamTalk:
         if question.bits is None:
             return self._encoder.encode("PARAM_REQUEST_READ", **target, param_index=-1)
         return self._encoder.encode("PARAM_SET", **target, param_value=question.as_float, param_type=question.kind)
-
-    def _to(self, item: _Vehicle, frame: bytes) -> Outgoing:
-        return Outgoing(item.link, item.peer, (frame,))
 
     # What came of it
 

@@ -14,7 +14,12 @@ from typing import NamedTuple
 
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, message_id
 from groundstation.mavlink.signing import MINUTE, Signing, Times, Verdict, is_radio_status, timestamp_at
-from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
+from groundstation.mavlink.station import (
+    GROUND_STATION_COMPID,
+    GROUND_STATION_SYSID,
+    Outgoing,
+    ground_station_heartbeat,
+)
 
 SETUP_SIGNING = message_id("SETUP_SIGNING")
 _GREETED_MAX = 256
@@ -137,7 +142,7 @@ class Gate:
         if not self._behind or now_ns < self._next_greeting_ns:
             return []
         self._next_greeting_ns = now_ns + _GREETING_NS
-        hello = self._encoder.encode("HEARTBEAT", type=6, autopilot=8, system_status=4, mavlink_version=3)
+        hello = ground_station_heartbeat(self._encoder)
         behind, self._behind = self._behind, {}
         return self.sign([Outgoing(link, peer, (hello,)) for link, peer in behind], now_ns)
 

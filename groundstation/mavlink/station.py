@@ -37,6 +37,17 @@ class Outgoing(NamedTuple):
     frames: tuple[bytes, ...]
 
 
+def ground_station_heartbeat(encoder: Encoder) -> bytes:
+    """A ground station's HEARTBEAT, numbered by its sender's encoder."""
+    return encoder.encode(
+        "HEARTBEAT",
+        type=_TYPE_GCS,
+        autopilot=_AUTOPILOT_INVALID,
+        system_status=_STATE_ACTIVE,
+        mavlink_version=_MAVLINK_VERSION,
+    )
+
+
 class Station:
     """One end of all links.
 
@@ -161,11 +172,11 @@ class Station:
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
             for vehicle in self._one_per_peer():
-                frames[vehicle].append(self._heartbeat())
+                frames[vehicle].append(ground_station_heartbeat(self._encoder))
             heard = {int(link) for link, peer in zip(fleet.link, fleet.peer, strict=True) if peer is not None}
             for link, peer in self._greeted:
                 if link not in heard:
-                    outgoing.append(Outgoing(link, peer, (self._heartbeat(),)))
+                    outgoing.append(Outgoing(link, peer, (ground_station_heartbeat(self._encoder),)))
         for vehicle, peer_or_none in enumerate(fleet.peer):
             if peer_or_none is not None and frames[vehicle]:
                 outgoing.append(Outgoing(int(fleet.link[vehicle]), peer_or_none, tuple(frames[vehicle])))
@@ -221,12 +232,3 @@ class Station:
         values["yaw"] = yaw_ned_rad[rows]
         self.setpoints_sent += len(rows)
         return encode_batch("SET_POSITION_TARGET_LOCAL_NED", values, [self._encoder] * len(rows))
-
-    def _heartbeat(self) -> bytes:
-        return self._encoder.encode(
-            "HEARTBEAT",
-            type=_TYPE_GCS,
-            autopilot=_AUTOPILOT_INVALID,
-            system_status=_STATE_ACTIVE,
-            mavlink_version=_MAVLINK_VERSION,
-        )

@@ -32,7 +32,7 @@ NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
 UNKNOWN = -1
 AUTOPILOT_COMPID = 1
-_ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
+ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 _VOLTAGE_UNKNOWN = 65_535
 _HEARTBEAT = message_id("HEARTBEAT")
@@ -462,7 +462,7 @@ class Fleet:
 
     def _heartbeat(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
-        armed = values["base_mode"] & _ARMED_FLAG != 0
+        armed = values["base_mode"] & ARMED_FLAG != 0
         mode = values["custom_mode"].astype(np.int64)
         self.autopilot[row], self.mav_type[row] = values["autopilot"], values["type"]
         kinds = values["type"].astype(np.int64) << 8 | values["autopilot"]
