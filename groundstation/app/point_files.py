@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.core.errors import UserError
+from groundstation.core.files import read_text
 from groundstation.core.types import FloatArray
 from groundstation.design.common_shapes import shortest_m
 
@@ -27,18 +28,8 @@ def read_points(path: Path) -> FloatArray:
     Raises:
         UserError: cannot be read, or a line that is not three numbers; two points in one place.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(_BYTES_MAX + 1)
-        text = content.decode("utf-8-sig")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: is not a text file in UTF-8") from None
-    if len(content) > _BYTES_MAX:
-        raise UserError(f"{path}: is longer than {_BYTES_MAX >> 20} MB, the limit for such files")
     points: list[list[float]] = []
-    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
+    for number, row in enumerate(csv.reader(read_text(path, _BYTES_MAX, "utf-8-sig").splitlines()), start=1):
         if not row or (number == 1 and not _is_number(row[0])):
             continue
         if len(row) != 3 or not all(map(_is_number, row)):

@@ -106,23 +106,36 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def read_text(path: Path, bytes_max: int, encoding: str = "utf-8") -> str:
+    """Reads a text file that people bring along.
+
+    Args:
+        path: the file.
+        bytes_max: as long as it may be, whole MB; no more is read.
+        encoding: UTF-8, with ``utf-8-sig`` the mark that spreadsheets put in front is passed over.
+
+    Raises:
+        UserError: no such file, not readable, too long, or no text.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(bytes_max + 1)
+        if len(content) > bytes_max:
+            raise UserError(f"{path}: is longer than {bytes_max >> 20} MB, the limit for such files")
+        return content.decode(encoding)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: is not a text file in UTF-8") from None
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Reads a YAML file whose top level is a mapping.
 
     Raises:
         UserError: no such file, not readable, not YAML, or not a mapping.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(_BYTES_MAX + 1)
-        if len(content) > _BYTES_MAX:
-            raise UserError(f"{path}: is longer than {_BYTES_MAX >> 20} MB, the limit for such files")
-        text = content.decode("utf-8")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: is not a text file in UTF-8") from None
-    return parse_yaml(text, str(path))
+    return parse_yaml(read_text(path, _BYTES_MAX), str(path))
 
 
 def parse_yaml(text: str, source: str) -> dict[str, Any]:

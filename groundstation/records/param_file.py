@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.core.errors import UserError
+from groundstation.core.files import read_text
 from groundstation.core.own_files import claim, write_whole
 from groundstation.mavlink.params import REAL32, bits_of_value
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
@@ -86,18 +87,8 @@ def read_params(path: Path) -> Team:
     Raises:
         UserError: unreadable, or a line that is none of a parameter; names file, line and what is wrong.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(_BYTES_MAX + 1)
-        text = content.decode("utf-8")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: is not a text file in UTF-8") from None
-    if len(content) > _BYTES_MAX:
-        raise UserError(f"{path}: is longer than {_BYTES_MAX >> 20} MB, the limit for such files")
     team: Team = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(read_text(path, _BYTES_MAX).splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         sysid, compid, name, param = _read(line, f"{path}: line {number}")
