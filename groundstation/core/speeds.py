@@ -42,11 +42,13 @@ class Speeds:
     Attributes:
         error_ned_m_s: b, shape (n, 3).
         rms_m_s: its root mean square over the last seconds, all axes together, shape (n,); 0 until it is known.
+        share: how much of b is taken off each velocity, 0 to 1, shape (n,).
     """
 
     def __init__(self, n: int) -> None:
         self.error_ned_m_s: FloatArray = np.zeros((n, 3))
         self.rms_m_s: FloatArray = np.zeros(n)
+        self.share: FloatArray = np.zeros(n)
         self._pos: FloatArray = np.full((n, 3), np.nan)
         self._square: FloatArray = np.zeros(n)
         self._counted_s: FloatArray = np.zeros(n)
@@ -80,16 +82,12 @@ class Speeds:
         self._square += np.where(on[:, 0], share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
         self.forget(self._gap_s > _GAP_S)
         self.rms_m_s = np.where(self._counted_s >= _ENOUGH_S, np.sqrt(self._square), 0.0)
+        self.share = np.clip((self.rms_m_s - AGREES_M_S) / (DISAGREES_M_S - AGREES_M_S), 0.0, 1.0)
 
     def forget(self, rows: BoolArray) -> None:
         """Positions count from anew, as after a gap, shape (n,); how good the velocities were stays known."""
         self._pos[rows] = np.nan
         self.error_ned_m_s[rows] = 0.0
-
-    @property
-    def share(self) -> FloatArray:
-        """How much of b is taken off each velocity, 0 to 1, shape (n,)."""
-        return np.clip((self.rms_m_s - AGREES_M_S) / (DISAGREES_M_S - AGREES_M_S), 0.0, 1.0)
 
     @property
     def known_error_ned_m_s(self) -> FloatArray:
