@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from sitl.autopilot import Autopilot
+from sitl.config import SECOND
 from sitl.faults import LINK_KINDS, VEHICLE_KINDS, Fault, FaultError
 from sitl.network import Channel, LinkConfig
 from sitl.state import State
 
-SECOND = 1_000_000_000
 _NEVER = 1 << 62
 _STATES = set(VEHICLE_KINDS) - {"position_jump", "position_drift", "reboot", "battery_level", "clock_jump"}
 

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 from threading import Event
 from typing import TextIO
 
+from sitl.config import SECOND
 from sitl.faults import FaultError, parse_faults
 from sitl.world import World, WorldConfig
 
-SECOND = 1_000_000_000
 _FIRST_SOURCE_PORT = 14580
 _PEER_SILENCE_NS = 30 * SECOND
 _LAG_MAX_NS = SECOND // 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import socket
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
@@ -19,15 +18,14 @@ from groundstation.mission.ground.check_table import CheckRow
 from sitl.server import Server
 from tests.app.commands import gs
 from tests.app.flights import pair
+from tests.sitl.served import free_udp_port
 
 
 def test_fix_sets_what_a_check_before_has_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_udp_port()
     config = world_config(pair(autopilots=("px4", "px4")))
     config = replace(config, vehicles=tuple(replace(vehicle, params=()) for vehicle in config.vehicles))
     links = [f"vehicles.{number}.link=udpin://127.0.0.1:{port}" for number in (0, 1)]

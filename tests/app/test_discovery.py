@@ -19,6 +19,7 @@ from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 from tests.app.commands import gs
 from tests.mavlink.sender import COMPANION, INVALID, Sender
+from tests.sitl.served import free_tcp_port, free_udp_port
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -103,9 +104,7 @@ def test_strangers_are_shown_and_not_written_down() -> None:
 @pytest.fixture
 def served() -> Iterator[int]:
     """An ArduCopter that listens for TCP, and nothing else."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_tcp_port()
     stop = Event()
     config = WorldConfig([VehicleConfig(sysid=5, autopilot="arducopter", streams="ardupilot")])
     with Server(config, 1, tcp_port=port, udp=False) as server:
@@ -132,9 +131,7 @@ def test_the_command_fails_where_two_bear_one_id_and_names_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two vehicles under one id on one UDP port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_udp_port()
     stop = Event()
     config = WorldConfig([VehicleConfig(sysid=5)])
     with Server(config, 1, port=port) as one, Server(config, 2, port=port) as two:

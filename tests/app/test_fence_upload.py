@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from groundstation.mission.plan.reading import load_mission
 from sitl.world import World
 from tests.app.commands import gs
 from tests.app.flights import CUBE8, mission, pair, without_chatter
+from tests.sitl.served import free_udp_port
 
 TICK_NS = 100_000_000
 ANCHOR = "anchor={lat_deg: 47.397742, lon_deg: 8.545594, alt_m: 488.0}"
@@ -188,9 +188,7 @@ def test_check_says_that_it_is_missing_and_with_fix_uploads_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_udp_port()
     link = f"vehicles.0.link=udpin://127.0.0.1:{port}"
     changes = ["--set", link, "--set", "fence.upload=true", "--set", "limits.preflight_s=0.1", "--json"]
     with served_world(mission("hello1", link), 1) as world:

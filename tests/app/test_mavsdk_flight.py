@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import json
-import socket
 from pathlib import Path
 
 import pytest
 
 from groundstation.app.verify import verify_log
 from tests.app.commands import gs
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from tests.sitl.served import free_udp_port
 
 
 def test_a_mission_flies_over_mavsdk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    url = f"mavsdk://udpin://127.0.0.1:{_free_port()}"
+    url = f"mavsdk://udpin://127.0.0.1:{free_udp_port()}"
     log = tmp_path / "flight.tlog"
     changes = [
         "positioning=mocap", "formation_scale=1.3", "takeoff.height_m=0.5", "steps.1.hold.seconds=0.5",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from groundstation.records.param_file import Param, Team, read_params, write_par
 from sitl.world import World, WorldConfig
 from tests.app.commands import gs
 from tests.app.flights import mission, pair, without_chatter
+from tests.sitl.served import free_udp_port
 
 TICK_NS = 100_000_000
 
@@ -171,9 +171,7 @@ def test_save_diff_and_restore_over_sockets(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_udp_port()
     change = f"vehicles.0.link=udpin://127.0.0.1:{port}"
     common = ["--mission", "hello1", "--set", change, "--file", "a.params", "--json"]
     with served_world(mission("hello1", change), 1) as world:

@@ -31,6 +31,7 @@ from groundstation.records.manifest import Manifest, manifest_path, write_manife
 from groundstation.records.tlog import TlogWriter
 from sitl.world import World
 from tests.app.flights import SECOND_NS, mission, pair
+from tests.sitl.served import free_udp_port
 
 LIMIT_S = 5.0
 WAITS_MAX = 4096
@@ -162,9 +163,7 @@ class Cable:
 
     def udp(self) -> Wire:
         """A vehicle that sends to a port of ours."""
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
+        port = free_udp_port()
         vehicle = self._stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         vehicle.bind(("127.0.0.1", 0))
         vehicle.connect(("127.0.0.1", port))
