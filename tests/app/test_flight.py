@@ -455,7 +455,7 @@ def test_nobody_stays_under_a_vehicle_that_its_pilot_lands_from_the_formation(ve
             flight.world.receive(vehicle, command, flight.now_ns)
         return False
 
-    flight = Flight(cube8(FULL_RATE), interrupt_when=land)
+    flight = Flight(cube8(), interrupt_when=land)
     assert flight.runner.outcome == "aborted"
     assert f"vehicle {vehicle + 1}: left for mode AUTO.LAND" in flight.runner.reason
     assert _all_down(flight)
