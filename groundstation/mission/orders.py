@@ -74,7 +74,8 @@ class Orders:
             ours = [vehicle for vehicle in command.vehicles if team.roster.ours[vehicle]]
             for vehicle in command.vehicles:
                 if vehicle not in ours:
-                    team.verdict.note("alarm", f"operator: {team.name(vehicle)} is released and not ours to land")
+                    fate = team.roster.duty(vehicle).name.lower()
+                    team.verdict.note("alarm", f"operator: {team.name(vehicle)} was {fate} and is not ours to land")
             team.landing.want_here(ours, team.rest_ned_m(poses), now_ns)
             if ours:
                 self._machine.drop_out(f"{self._names(ours)}: landed by the operator", now_ns)

@@ -93,8 +93,9 @@ def test_a_released_vehicle_whose_state_is_not_known_is_named_too() -> None:
         return [] if silent else landed(datagram, flight)
 
     flight = Flight(pair(), interrupt_when=lambda flight: _pilot_holds(flight, told), tamper=mute)
-    assert flight.runner.reason.endswith(
-        f"vehicle 1: not heard from any more, whether it has landed is not known; if it flies, {REMEDY}"
+    assert flight.runner.reason == (
+        "vehicle 1: left for mode AUTO.LOITER; it is released and not fought over, the others come back;"
+        f" vehicle 1 may still be in the air, in AUTO.LOITER when last told; {REMEDY}"
     )
 
 

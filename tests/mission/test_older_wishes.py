@@ -85,7 +85,7 @@ def test_who_waits_armed_for_another_one_is_disarmed_only_where_it_tells_that_it
     fleet, commands = _armed(plan)
     fleet.custom_mode[:] = 4  # GUIDED
     fleet.armed[1] = False
-    arming = Arming(plan, fleet, commands, Standing(plan, fleet))
+    arming = Arming(plan, fleet, commands, Standing(plan, fleet), enlist(plan))
     arming._reluctant[1] = True
     names: list[str] = []
     for k in range(60):

@@ -169,7 +169,7 @@ def test_a_climb_is_asked_of_one_that_stands_and_ends_at_its_height(plan: Missio
 
 def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_alone(plan: MissionPlan) -> None:
     two = Two(plan)
-    arming = Arming(plan, two.fleet, two.commands, Standing(plan, two.fleet))
+    arming = Arming(plan, two.fleet, two.commands, Standing(plan, two.fleet), two.roster)
     assert not arming.step(two.hear(0.0))
     assert {name for _, name in two.asked(0)} == {plan.autopilots[0].streaming_mode().name}
     two.fleet.custom_mode[0] = GUIDED

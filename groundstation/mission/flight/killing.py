@@ -13,6 +13,7 @@ import numpy as np
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import Fleet
+from groundstation.mission.flight.landing import LOST_S
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
 from groundstation.mission.timing import SECOND_NS, AskAgain
@@ -48,6 +49,10 @@ class Killing:
         """Vehicles that shall be dead and have not shown it yet, shape (n,)."""
         shown: BoolArray = ~self._fleet.armed & (self._fleet.heartbeat_ns > self._roster.killed_ns + _NEWER_NS)
         return self._roster.killed & ~shown
+
+    def unheard(self, now_ns: int) -> BoolArray:
+        """Vehicles that have not shown it, and are not heard any more, shape (n,): nobody waits for these."""
+        return self.not_shown() & self._fleet.silent(now_ns, LOST_S)
 
     def falling(self, now_ns: int) -> BoolArray:
         """Vehicles that may be on their way down, shape (n,)."""

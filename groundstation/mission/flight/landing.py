@@ -27,7 +27,8 @@ from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
 _ASK_AGAIN_NS = SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
 _STILL_ARMED_NS = 5 * SECOND_NS  # autopilots disarm by themselves two seconds after landing
-_LOST_S = 10.0
+LOST_S = 10.0
+"""Who has said nothing for so long is not waited for."""
 _HURRY = 0.5  # of the battery at which a vehicle lands where it is: it waits for no place any more
 
 
@@ -195,19 +196,19 @@ class Landing:
 
         An arming that is under way shows in a heartbeat up to a second later, so this is called again until
         ``still_up`` has nobody left. Who does not tell that it stands is not asked: nothing has told it to take off,
-        and it disarms by itself.
+        and it disarms by itself. Who was killed is asked for that alone.
         """
-        for vehicle in np.flatnonzero(self._standing.at(now_ns)).tolist():
+        for vehicle in np.flatnonzero(self._standing.at(now_ns) & self._roster.ours).tolist():
             if self._asking.due(vehicle, now_ns) and not self._commands.pending(vehicle):
                 self._commands.request(vehicle, self._plan.autopilots[vehicle].disarm())
                 self._asking.asked(vehicle, now_ns)
 
     def lost(self, now_ns: int) -> BoolArray:
-        """Vehicles of which nothing has been heard for ten seconds, shape (n,)."""
-        return self._fleet.silent(now_ns, _LOST_S)
+        """Vehicles of ours of which nothing has been heard for ten seconds, shape (n,)."""
+        return self._fleet.silent(now_ns, LOST_S) & self._roster.ours
 
     def unsure(self, now_ns: int, lost: BoolArray) -> BoolArray:
-        """Vehicles that are heard, report to stand on the ground, and send no heartbeat any more, shape (n,).
+        """Vehicles of ours that are heard, report to stand on the ground, and send no heartbeat, shape (n,).
 
         Whether they are disarmed cannot be known; they are not waited for longer than this.
 
@@ -218,7 +219,7 @@ class Landing:
         limit_s = self._plan.spec.limits.heartbeat_age_s
         since_ns = self._on_ground.since_ns
         stood = (since_ns != NEVER) & (now_ns - since_ns >= 2 * _STILL_ARMED_NS)
-        return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~lost)
+        return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~lost & self._roster.ours)
 
     def still_up(self, since_ns: int, given_up: BoolArray) -> BoolArray:
         """Vehicles that may still be armed, shape (n,); those that are released or given up are not waited for.

@@ -16,6 +16,7 @@ from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.flight.standing import Standing
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Duties
 from groundstation.mission.timing import SECOND_NS, AskAgain, HeldEach
 
 _ASK_AGAIN_NS = SECOND_NS  # heartbeats tell the mode once a second; asking faster would ask in the dark
@@ -30,10 +31,14 @@ class Arming:
         fleet: their state.
         commands: what is asked goes out by it.
         standing: who stands on the ground.
+        roster: who is ours.
     """
 
-    def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, standing: Standing) -> None:
+    def __init__(
+        self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, standing: Standing, roster: Duties
+    ) -> None:
         n = plan.size
+        self._roster = roster
         self._plan, self._fleet, self._commands = plan, fleet, commands
         self._standing = standing
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
@@ -86,8 +91,8 @@ class Arming:
         return False
 
     def started_anew(self) -> str | None:
-        """Words for the vehicles that have started anew since the attempt began, None where none has."""
-        anew = self._fleet.sysid[self._fleet.restarts != self._restarts]
+        """Words for the vehicles of ours that have started anew since the attempt began, None where none has."""
+        anew = self._fleet.sysid[(self._fleet.restarts != self._restarts) & self._roster.ours]
         return "; ".join(f"vehicle {sysid}: has started anew while the team was arming" for sysid in anew) or None
 
     def why_not(self, waited_s: float, said: Mapping[int, str]) -> str:

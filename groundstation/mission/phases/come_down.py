@@ -19,6 +19,7 @@ from groundstation.mission.timing import SECOND_NS, Held, vehicle_list
 
 _DISARMED_NS = 5 * SECOND_NS // 2  # two heartbeats that say so
 _DOWN_MAX_NS = 120 * SECOND_NS  # nobody is waited for longer than this while the team comes down
+_KEEP_CLEAR = "keep clear of it, stop it by remote control"
 
 
 class _ComingDown(PhaseState):
@@ -32,11 +33,15 @@ class _ComingDown(PhaseState):
         return _DOWN_MAX_NS
 
     def _over(self, now_ns: int, poses: Poses) -> bool:
-        """Whether it is over; then everything that has to be told of who is left is told."""
+        """Whether it is over; then everything that has to be told of who is left is told.
+
+        Of one that is not ours nothing is told but what was done, and whether that came to its end.
+        """
         team = self._team
+        unheard = team.killing.unheard(now_ns)
         lost = team.landing.lost(now_ns)
         unsure = team.landing.unsure(now_ns, lost)
-        up = team.landing.still_up(self.since_ns, lost | unsure) | (team.killing.not_shown() & ~lost)
+        up = team.landing.still_up(self.since_ns, lost | unsure) | (team.killing.not_shown() & ~unheard)
         late = now_ns - self.since_ns >= self._down_max_ns()
         down = self._down(late or not up.any(), now_ns, _DISARMED_NS)
         if not late and not down:
@@ -50,6 +55,9 @@ class _ComingDown(PhaseState):
         names = self._names(unsure)
         if names:
             abort(f"{names}: stands on the ground and sends no heartbeat, it may still be armed")
+        names = self._names(unheard)
+        if names:
+            abort(f"{names}: told to stop its motors, and nothing shows that it did; {_KEEP_CLEAR}")
         if up.any():
             self._tell_late(up, poses)
         flying = team.standing.airborne(now_ns) & ~lost & ~team.roster.killed & ~up
@@ -66,7 +74,7 @@ class _ComingDown(PhaseState):
         for vehicle in np.flatnonzero(up & killed).tolist():
             team.verdict.abort(
                 f"{team.name(vehicle)}: told to stop its motors, and still armed by its own report"
-                f" after {waited_s:g} s; keep clear of it, stop it by remote control"
+                f" after {waited_s:g} s; {_KEEP_CLEAR}"
             )
         for vehicle in np.flatnonzero(up & ~killed).tolist():
             team.verdict.abort(team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s))

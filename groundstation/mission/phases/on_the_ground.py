@@ -71,7 +71,7 @@ class ArmPhase(PhaseState):
 
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
-        self.arming = Arming(team.plan, team.fleet, team.station.commands, team.standing)
+        self.arming = Arming(team.plan, team.fleet, team.station.commands, team.standing, team.roster)
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""
