@@ -115,6 +115,16 @@ def test_who_flies_on_or_stays_armed_is_named() -> None:
     assert _kinds(scene.verdict()) == set()
 
 
+@pytest.mark.parametrize(
+    "words", ["vehicles 1 and 4: 0.40 m apart, minimum is 0.45 m", "vehicle 4: too near to vehicle 1, 0.40 m apart"]
+)
+def test_two_that_are_called_near_and_are_not_are_found_in_either_words(words: str) -> None:
+    scene = Scene()
+    scene.run(3.0)
+    scene.say(words)
+    assert scene.verdict().columns()["said_near"] == 1
+
+
 def test_words_about_what_is_not_so() -> None:
     scene = Scene()
     scene.lift()

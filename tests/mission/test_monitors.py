@@ -15,12 +15,13 @@ from groundstation.core.types import FloatArray
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, NEVER, Fleet
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.board import Board
-from groundstation.mission.monitors.findings import Findings, Lasting, Sight
+from groundstation.mission.monitors.findings import Findings, Lasting, Reaction, Sight
 from groundstation.mission.monitors.flight import bounded_growth_m
 from groundstation.mission.monitors.positions import PoseJump
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.roster import enlist
+from tests.mission.accuser import Accuser
 
 SECOND_NS = 1_000_000_000
 TICK_NS = 20_000_000
@@ -558,6 +559,39 @@ def test_two_vehicles_below_r_bring_everybody_back() -> None:
     assert found.abort == "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
 
 
+@pytest.mark.parametrize("going_on", [False, True])
+@pytest.mark.parametrize("reaction", Reaction)
+def test_a_monitor_that_judges_one_that_is_not_ours_cannot_name_it(reaction: Reaction, going_on: bool) -> None:
+    scene = Scene()
+    scene.going_on = going_on
+    scene.monitor._monitors = (Accuser(reaction), *scene.monitor._monitors)
+    scene.roster.kill([3], scene.now_ns)
+    scene.roster.release([6])
+    found = scene.tick()
+    names = {text.split(": ")[0] for text in scene.alarms if text.startswith("vehicle")}
+    assert names == {*(f"vehicle {k}" for k in (1, 2, 3, 5, 6, 8)), "vehicles 1 and 2", "vehicles 2 and 3",
+                     "vehicles 5 and 6", "vehicles 8 and 1"}  # fmt: skip
+    told = [*found.failed, *found.gone, *found.aborts, *found.aborts.values(), found.silence or ""]
+    assert not any(name in text for text in told for name in ("vehicle 4", "vehicle 7", "and 4", "and 7"))
+    concerned = {*found.home, *found.land, *found.release}
+    assert concerned == ({0, 1, 2, 4, 5, 7} if reaction in (Reaction.HOME, Reaction.LAND, Reaction.RELEASE) else set())
+    assert not scene.monitor.blind[[3, 6]].any()
+
+
+def test_of_two_that_are_too_near_the_finding_keeps_the_one_that_is_ours() -> None:
+    scene = Scene()
+    scene.pos[1] = scene.pos[0] + [0.0, 0.0, 0.44]
+    scene.roster.kill([0], scene.now_ns)
+    (found,) = scene.run(0.5)
+    assert found.aborts == {
+        "vehicle 2": "vehicle 2: too near to vehicle 1, 0.44 m apart, minimum is 0.45 m; everybody comes back"
+    }
+    scene = Scene()
+    scene.pos[1] = scene.pos[0] + [0.0, 0.0, 0.44]
+    scene.roster.release([0, 1])
+    assert scene.run(0.5) == []
+
+
 def _told_to_land(scene: Scene, *rows: int) -> None:
     scene.roster.land(rows, scene.now_ns)
     for row in rows:
@@ -687,6 +721,31 @@ def test_one_that_comes_down_by_itself_onto_somebody_is_told_at_once_with_both_n
     then = "which gets out of the way" if below == "flies" else "and cannot be told to leave; keep people away"
     assert said == [f"vehicle 7: comes down by itself, vehicle 4 is 0.9 m below and 0.05 m beside, {then}"]
     assert not [text for found in scene.run(1.0) for text in found.alarms if "comes down by itself" in text]
+
+
+@pytest.mark.parametrize("below", ["flies", "falls too", "is not ours either"])
+def test_those_below_one_that_is_not_ours_are_told_that_it_comes_down(below: str) -> None:
+    scene = Scene()
+    _put_above(scene, 0.05)
+    scene.roster.release([6] if below != "is not ours either" else [3, 6])
+    scene.fleet.landed_state[[6, 3] if below == "falls too" else [6]] = LANDED_LANDING
+    said = [text for text in scene.tick().alarms if "comes down by itself" in text]
+    then = "it gets out of the way" if below == "flies" else "it cannot be told to leave; keep people away"
+    words = f"vehicle 4: vehicle 7 comes down by itself 0.9 m above and 0.05 m beside, {then}"
+    assert said == ([] if below == "is not ours either" else [words])
+
+
+def test_two_senders_in_the_name_of_one_that_is_not_ours_bring_nobody_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    def twin(_fleet: Fleet, row: int, _now_ns: int) -> str | None:
+        return "two senders" if row == 4 else None
+
+    monkeypatch.setattr(Fleet, "twin_behind_one_address", twin)
+    for ours in (True, False):
+        scene = Scene()
+        if not ours:
+            scene.roster.kill([4], scene.now_ns)
+        found = scene.tick()
+        assert [*found.aborts] == (["vehicle 5"] if ours else [])
 
 
 def test_one_that_lands_at_our_word_or_beside_others_or_only_leaves_its_mode_does_not_come_down_by_itself() -> None:

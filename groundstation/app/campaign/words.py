@@ -44,7 +44,7 @@ _EVERY_TICKS = 5
 _SHOWN = 2_000
 _NAMES = re.compile(r"\bvehicles? (\d+(?:(?:, | and |, and )(?:vehicle )?\d+)*)")
 _TWINS = re.compile(r"say that they are (\d+)")
-_APART = re.compile(r"vehicles (\d+) and (\d+): [\d.]+ m apart")
+_APART = re.compile(r"vehicles? (\d+)(?: and |: too near to vehicle )(\d+)[:,] [\d.]+ m apart")
 _DISARMED = re.compile(r"vehicle (\d+): disarmed by itself")
 _SICK = re.compile(
     r"vehicle (\d+): (does not follow its setpoints|its position (?:is [\d.]+ m from|has not changed)|is tilted by"

@@ -122,7 +122,9 @@ class Board:
         found: list[tuple[Finding, Reaction]] = []
         ours, lands = sight.ours.copy(), sight.lands_here.copy()
         for monitor in self._monitors:
-            found += [(finding, self._take(finding, findings, sight)) for finding in monitor.look(sight, ours)]
+            # Here, and nowhere else, it is settled that nobody is judged who is not ours, whatever a monitor finds.
+            judged = [finding.of(ours) for finding in monitor.look(sight, ours.copy())]
+            found += [(finding, self._take(finding, findings, sight)) for finding in judged if finding is not None]
             ours[findings.release] = False  # whoever is released in this tick is judged no more by the next monitor
         lands[findings.land] = True
         # Words come last: whether others are left to come back is known when everything is found.
@@ -160,7 +162,7 @@ class Board:
     def _take(self, finding: Finding, findings: Findings, sight: Sight) -> Reaction:
         """Puts whom a finding concerns into lists; returns what is done about it."""
         rows, reaction = list(finding.vehicles), finding.reaction
-        known = all(self.blind[row] or not sight.ours[row] for row in rows) and bool(rows)
+        known = bool(rows) and bool(self.blind[rows].all())
         if finding.lost:
             self._lost_ns[rows] = np.where(self.blind[rows], self._lost_ns[rows], sight.now_ns)
             self.blind[rows] = True
@@ -171,11 +173,15 @@ class Board:
 
     def _tell(self, finding: Finding, reaction: Reaction, findings: Findings, sight: Sight, *, others: bool) -> None:
         """Puts a finding into words, and says what they are for: an alarm, or a reason too."""
-        rows = finding.vehicles
-        subject = f"vehicle {sight.fleet.sysid[rows[0]]}" if len(rows) == 1 else ""
+        rows, ids = finding.vehicles, sight.fleet.sysid[list(finding.vehicles)].tolist()
+        names = f"vehicle {ids[0]}" if len(ids) == 1 else ""
+        if finding.pair and len(ids) > 1:
+            names = f"vehicles {ids[0]} and {ids[1]}"
         consequence = _consequence(reaction, several=len(rows) > 1, going_on=sight.going_on, others=others)
-        text = (f"{subject}: " if subject else "") + finding.what + (f"; {consequence}" if consequence else "")
-        findings.tell(text, subject or finding.what, reaction, going_on=sight.going_on, urgent=finding.urgent)
+        what = (f"{names}: " if names else "") + finding.what
+        subject = names if len(ids) == 1 else what
+        text = what + (f"; {consequence}" if consequence else "")
+        findings.tell(text, subject, reaction, going_on=sight.going_on, urgent=finding.urgent)
 
 
 def _consequence(reaction: Reaction, *, several: bool, going_on: bool, others: bool) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Protocol
 
@@ -41,10 +41,11 @@ class Finding:
 
     Attributes:
         reaction: what should happen.
-        what: in words, without the vehicle's name.
-        vehicles: whom it concerns; empty for the ground station or a link.
+        what: in words, without the names of ``vehicles``.
+        vehicles: whom it judges; empty for the ground station or a link.
         lost: nobody knows any more where the vehicle is.
         urgent: does not wait for the end of an operator's hold.
+        pair: judges two vehicles by what is between them; they are named together.
     """
 
     reaction: Reaction
@@ -52,6 +53,18 @@ class Finding:
     vehicles: tuple[int, ...] = ()
     lost: bool = False
     urgent: bool = False
+    pair: bool = False
+
+    def of(self, ours: BoolArray) -> Finding | None:
+        """What is left of it when nobody is judged who is not ours; None where it says something of others alone.
+
+        Args:
+            ours: neither released nor killed, shape (n,).
+        """
+        rows = tuple(row for row in self.vehicles if ours[row])
+        if len(rows) == len(self.vehicles):
+            return self
+        return replace(self, vehicles=rows) if rows else None
 
 
 @dataclass(frozen=True)
@@ -102,7 +115,10 @@ class Monitor(Protocol):
     """A monitor."""
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterable[Finding]:
-        """Looks once per tick; ``ours`` are those neither released nor killed, shape (n,)."""
+        """Looks once per tick; ``ours`` are those neither released nor killed, shape (n,).
+
+        What it finds of others all the same is dropped by the board.
+        """
 
 
 @dataclass

@@ -112,10 +112,12 @@ class Distance:
         flies = sight.airborne & ours
         near = (apart < 1.0) & known[self._first] & known[self._second] & (flies[self._first] | flies[self._second])
         for pair in self._lasting(near, sight.now_ns):
-            ids = sight.fleet.sysid[[self._first[pair], self._second[pair]]]
+            both = (int(self._first[pair]), int(self._second[pair]))
             apart_m = float(np.linalg.norm(offsets[pair]))
             words = self._region.near_words(apart_m, float(apart[pair]))
-            yield Finding(Reaction.ALL_HOME, f"vehicles {ids[0]} and {ids[1]}: {words}")
+            for other in (row for row in both if not ours[row]):  # one of them at least is ours: it flies
+                words = f"too near to vehicle {sight.fleet.sysid[other]}, {words}"
+            yield Finding(Reaction.ALL_HOME, words, both, pair=True)
 
 
 class LateTicks:

@@ -213,8 +213,8 @@ class Frames:
                     f" {self._plan.limits.frame_drift_m:.2g} m"
                 )
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
-        twins = {row: fleet.twin_behind_one_address(row, sight.now_ns) for row in range(len(fleet))}
-        found = np.array([twins[row] is not None for row in range(len(fleet))])
+        twins = {row: fleet.twin_behind_one_address(row, sight.now_ns) for row in np.flatnonzero(ours).tolist()}
+        found = np.array([twins.get(row) is not None for row in range(len(fleet))])
         for vehicle in self._twins(found, sight.now_ns):
             yield Finding(Reaction.ALL_HOME, str(twins[vehicle]), (vehicle,))
 

@@ -30,7 +30,7 @@ class Sinking:
         self._told = Lasting(n * n)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
-        """Tells who comes down by itself, and who is below."""
+        """Tells who comes down by itself, and who is below; where the first is not ours, those below are told of it."""
         fleet, n = sight.fleet, len(sight.fleet)
         self._by_itself = (self._by_itself | (self._modes.foreign & ~sight.excused)) & fleet.armed
         if not self._by_itself.any():
@@ -43,7 +43,13 @@ class Sinking:
         under = sinks[:, None] & (below_m > 0.0) & (beside_m < self._beside_m) & ~np.eye(n, dtype=np.bool_)
         for pair in self._told(under.ravel(), sight.now_ns):
             who, other = divmod(pair, n)
-            what = f"vehicle {fleet.sysid[other]} is {below_m[who, other]:.1f} m below and {beside_m[who, other]:.2f} m"
+            below, beside = f"{below_m[who, other]:.1f} m", f"{beside_m[who, other]:.2f} m beside"
             can_leave = ours[other] and not (stands | sight.blind | self._by_itself)[other]
-            then = "which gets out of the way" if can_leave else "and cannot be told to leave; keep people away"
-            yield Finding(Reaction.SAY, f"comes down by itself, {what} beside, {then}", (who,))
+            if ours[who]:
+                then = "which gets out of the way" if can_leave else "and cannot be told to leave; keep people away"
+                what = f"comes down by itself, vehicle {fleet.sysid[other]} is {below} below and {beside}, {then}"
+                yield Finding(Reaction.SAY, what, (who,))
+            else:
+                then = "it gets out of the way" if can_leave else "it cannot be told to leave; keep people away"
+                what = f"vehicle {fleet.sysid[who]} comes down by itself {below} above and {beside}, {then}"
+                yield Finding(Reaction.SAY, what, (other,))
