@@ -19,6 +19,7 @@ from tests.mavlink.sender import (
     DISARMED,
     FIXED_WING,
     INVALID,
+    LAND,
     LOITER,
     OFFBOARD,
     ON_GROUND,
@@ -99,6 +100,40 @@ def test_a_second_autopilot_of_its_kind_behind_its_address_brings_everybody_home
     plan = pair("steps.1.hold.seconds=20", autopilots=PX4_TWICE)
     flight = Flight(plan, tamper=_besides(lambda: twin.heartbeat(DISARMED, LOITER), every_s, _holding))
     _assert_brought_home(flight, "vehicle 1: two senders say that they are 1, both at emulator:1: their ")
+
+
+def test_one_that_has_disarmed_and_is_said_to_land_for_ever_is_not_called_armed() -> None:
+    """On 1719c84, and after: "still armed after 120 s, it acknowledged disarm and does not do it"; it had disarmed."""
+    twin = Sender(1)
+    plan = pair("steps.1.hold.seconds=6", autopilots=PX4_TWICE)
+    flight = Flight(plan, tamper=_besides(lambda: twin.heartbeat(ARMED, LAND), 0.1, _holding))
+    _assert_brought_home(flight, "vehicle 1: two senders say that they are 1, both at emulator:1: their ")
+    assert "still armed" not in flight.runner.reason
+    assert "vehicle 1: stands on the ground by its own report, whether it is disarmed is not kn" in flight.runner.reason
+    assert flight.now_ns < 80 * SECOND_NS
+
+
+@pytest.mark.parametrize("where", ["emulator:99", "10.0.0.9:5000"])
+def test_what_another_address_says_of_a_vehicle_in_the_air_changes_nothing(where: str) -> None:
+    """Also on 1719c84: from arming on, what comes from elsewhere is told apart by its address alone."""
+    stranger = Sender(1)
+    lies = (
+        stranger.heartbeat(DISARMED, LOITER), stranger.heartbeat(ARMED, LAND), stranger.landed(ON_GROUND),
+        stranger.origin(400_000_000, 100_000_000), stranger.battery(1), stranger.position(5, 50.0),
+        stranger.heartbeat(ARMED, 0, kind=ROVER), stranger.text(b"Crash"),
+    )  # fmt: skip
+    said = [0]
+
+    def lie(flight: Flight) -> tuple[str, bytes] | None:
+        if Phase.ARM not in flight.phase_seen:
+            return None
+        said[0] += 1
+        return where, lies[said[0] % len(lies)]
+
+    flight = Flight(pair(autopilots=PX4_TWICE), intrude=lie)
+    _assert_flown(flight)
+    assert flight.runner.fleet.counts["second sender under a vehicle's id"] > 0.8 * said[0] > 100
+    assert not any("Crash" in note.text for note in flight.notes)
 
 
 LIES: dict[str, tuple[int, Callable[[Sender], bytes], str]] = {
@@ -241,3 +276,21 @@ def test_an_origin_that_is_no_place_is_unknown_and_not_a_jump(place: tuple[int, 
     sender = Sender(1)
     flight = Flight(pair(autopilots=PX4_TWICE), tamper=_besides(lambda: sender.origin(*place), 0.5, _always))
     _assert_flown(flight)
+
+
+def test_a_far_origin_that_its_positions_do_not_follow_lands_nobody_where_it_is() -> None:
+    """On 1719c84 one false message landed the vehicle where it was."""
+    sender = Sender(1)
+    told: list[int] = []
+
+    def once(flight: Flight) -> bool:
+        if _holding(flight) and not told:
+            told.append(flight.now_ns)
+            return True
+        return False
+
+    plan = pair("steps.1.hold.seconds=6", autopilots=PX4_TWICE)
+    flight = Flight(plan, tamper=_besides(lambda: sender.origin(400_000_000, 100_000_000), 0.0, once))
+    _assert_brought_home(flight, "vehicle 1: an origin 832804 m from its own is told under its id (GPS_GLOBAL_ORIGIN)")
+    off_pads_m = abs(flight.world.truth.pos_enu_m - flight.plan.pads_enu_m)[:, :2]
+    assert off_pads_m.max() < 0.6

@@ -265,7 +265,8 @@ def test_a_vehicle_that_reports_two_origins_is_refused_with_their_distance() -> 
 
 
 def test_an_origin_that_moves_in_flight_brings_everybody_down() -> None:
-    flight = Flight(pair(), tamper=_forged_origin(0, 7.0, lambda flight: Phase.HOLD in flight.phase_seen))
+    """By less than what two positions that part would show: one that moves further alone is not believed."""
+    flight = Flight(pair(), tamper=_forged_origin(0, 2.0, lambda flight: Phase.HOLD in flight.phase_seen))
     assert flight.runner.outcome == "aborted"
     assert "vehicle 1: its origin has moved by " in flight.runner.reason
     assert not flight.world.truth.armed.any()

@@ -396,7 +396,8 @@ def test_a_heartbeat_that_stops_while_telemetry_goes_on_brings_everybody_back_in
     flight = Flight(cube8("steps.1.hold.seconds=60"), tamper=mute, interrupt_when=look)
     assert flight.runner.reason == (
         "vehicle 7: no heartbeat for 12 s, whether it is armed and follows is not known any more; everybody comes back;"
-        " vehicle 7: stands on the ground and sends no heartbeat, it may still be armed"
+        " vehicle 7: stands on the ground by its own report, whether it is disarmed is not known, since it sends no"
+        " heartbeat; keep away from it, and disarm it by remote control or take its battery out"
     )
     assert 10.9 * SECOND_NS < back[0] - stopped[0] < 12.1 * SECOND_NS
     assert flight.now_ns < back[0] + 40 * SECOND_NS

@@ -85,7 +85,10 @@ def _told(fate: Callable[[Team], None], says: Says) -> tuple[str, float]:
 
 
 LOST = f"vehicle 1: not heard from any more, whether it has landed is not known; if it flies, {HELP_IN_THE_AIR}"
-UNSURE = "vehicle 1: stands on the ground and sends no heartbeat, it may still be armed"
+UNSURE = (
+    "vehicle 1: stands on the ground by its own report, whether it is disarmed is not known, since it sends no"
+    " heartbeat; keep away from it, and disarm it by remote control or take its battery out"
+)
 FLIES_ON = f"vehicle 1 may still be in the air, in AUTO.LOITER when last told; {HELP_IN_THE_AIR}"
 NOT_SHOWN = (
     "vehicle 1: told to stop its motors, and nothing shows that it did; keep clear of it, stop it by remote control"

@@ -500,6 +500,32 @@ def test_frames_that_change_land_the_vehicle() -> None:
         assert str(found.abort).startswith(f"vehicle 1: {words}")
 
 
+def _told_an_origin(scene: Scene, moved_m: float) -> None:
+    scene.fleet.origin_moved_ns[0], scene.fleet.origin_moved_m[0] = scene.now_ns, moved_m
+
+
+def test_a_far_origin_that_neither_position_follows_counts_for_nothing_and_everybody_comes_home() -> None:
+    scene = Scene()
+    scene.drift[:] = 0.1
+    scene.run(0.1)
+    _told_an_origin(scene, 832_804.0)
+    assert scene.run(2.4) == []
+    (found,) = scene.run(1.0)
+    assert not found.land
+    assert str(found.abort).startswith("vehicle 1: an origin 832804 m from its own is told under its id")
+
+
+@pytest.mark.parametrize(("moved_m", "drift_m"), [(7.0, 7.0), (0.6, 0.1), (7.0, np.nan)])
+def test_an_origin_that_positions_follow_or_say_nothing_of_lands_the_vehicle(moved_m: float, drift_m: float) -> None:
+    scene = Scene()
+    scene.run(0.1)
+    _told_an_origin(scene, moved_m)
+    scene.drift[0] = drift_m
+    (found,) = scene.run(1.0)
+    assert found.land == [0]
+    assert "its origin has moved by" in str(found.abort)
+
+
 def test_two_vehicles_behind_one_address_bring_everybody_back(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene()
     monkeypatch.setattr(

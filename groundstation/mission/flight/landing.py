@@ -208,9 +208,10 @@ class Landing:
         return self._fleet.silent(now_ns, LOST_S) & self._roster.ours
 
     def unsure(self, now_ns: int, lost: BoolArray) -> BoolArray:
-        """Vehicles of ours that are heard, report to stand on the ground, and send no heartbeat, shape (n,).
+        """Vehicles of ours that are heard, say that they stand, and whose heartbeats tell nothing, shape (n,).
 
-        Whether they are disarmed cannot be known; they are not waited for longer than this.
+        There are none any more, or two senders take turns. Whether such a vehicle is disarmed cannot be known; it is
+        not waited for longer than this.
 
         Args:
             now_ns: time of the tick.
@@ -219,7 +220,21 @@ class Landing:
         limit_s = self._plan.spec.limits.heartbeat_age_s
         since_ns = self._on_ground.since_ns
         stood = (since_ns != NEVER) & (now_ns - since_ns >= 2 * _STILL_ARMED_NS)
-        return np.asarray(self._fleet.heartbeat_stale(now_ns, limit_s) & stood & ~lost & self._roster.ours)
+        untold = self._fleet.heartbeat_stale(now_ns, limit_s) | self._fleet.senders.in_doubt(now_ns)
+        return np.asarray(untold & stood & ~lost & self._roster.ours)
+
+    def words_of_unsure(self, vehicle: int, now_ns: int) -> str:
+        """Says of one that is ``unsure`` why, and what is left to do."""
+        fleet = self._fleet
+        why = "it sends no heartbeat"
+        if fleet.senders.in_doubt(now_ns)[vehicle]:
+            why = "of its heartbeats nobody can tell which are its own: " + (
+                fleet.senders.alternating(vehicle, now_ns) or "they go to and fro"
+            )
+        return (
+            f"vehicle {fleet.sysid[vehicle]}: stands on the ground by its own report, whether it is disarmed is not"
+            f" known, since {why}; keep away from it, and disarm it by remote control or take its battery out"
+        )
 
     def still_up(self, since_ns: int, given_up: BoolArray) -> BoolArray:
         """Vehicles that may still be armed, shape (n,); those that are released or given up are not waited for.

@@ -27,6 +27,8 @@ _GAP_S, _GAP_MAX_S = 0.15, 5.0
 _KICK = 2.0  # times what the profile's acceleration makes of a velocity between two reports
 _LED_ASTRAY_S = 8.0  # a velocity wrong for 2.5 s at a time leads 1.7 times its error astray in 3 s; five deviations
 _REACH_S = 0.5  # no longer than this is a trusted position carried on by its velocity
+_ORIGIN_FAR = 2.0  # times frame_drift_m: an origin that moved further moves one of two positions, as anybody can see
+_DENIED_S = 2.5  # two comparisons of local and global position, and some time for them to arrive
 _LINK_SHARE = 0.8  # of pose_lost_s: a link that is silent is told before its vehicles are, one by one
 
 
@@ -190,7 +192,7 @@ class Frames:
         self._plan = plan
         self._origins_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self._restarts: IntArray = np.zeros(n, dtype=np.int64)
-        self._wrong = Lasting(n)
+        self._wrong, self._denied = Lasting(n), Lasting(n, _DENIED_S, again=True)
         self._twins = Lasting(n)
 
     def begin(self, origins_ns: IntArray, restarts: IntArray) -> None:
@@ -198,20 +200,29 @@ class Frames:
         self._origins_ns, self._restarts = origins_ns.copy(), restarts.copy()
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
-        """Lands those whose frame has changed; a second vehicle under the same id brings everybody back."""
-        fleet = sight.fleet
-        drifting = sight.drift_m > self._plan.limits.frame_drift_m  # NaN is not
+        """Lands those whose frame has changed; a second vehicle under the same id brings everybody back.
+
+        An origin that has moved far has moved the local position or the global one with it. When neither has, somebody
+        else has told it, or it was a slip: the vehicle's frame is what it was, and it can come home.
+        """
+        fleet, limit_m = sight.fleet, self._plan.limits.frame_drift_m
+        drifting = sight.drift_m > limit_m  # NaN is not
         restarted, moved = fleet.restarts > self._restarts, fleet.origin_moved_ns > self._origins_ns
+        denied = moved & (fleet.origin_moved_m > _ORIGIN_FAR * limit_m) & (sight.drift_m <= limit_m)
+        for vehicle in self._denied(denied & ~restarted & ours & ~sight.excused, sight.now_ns):
+            what = (
+                f"an origin {fleet.origin_moved_m[vehicle]:.0f} m from its own is told under its id"
+                " (GPS_GLOBAL_ORIGIN), and neither of its positions has moved; it counts for nothing"
+            )
+            yield Finding(Reaction.ALL_HOME, what, (vehicle,))
+        moved &= ~denied
         for vehicle in self._wrong((restarted | moved | drifting) & ours & ~sight.excused, sight.now_ns):
             if restarted[vehicle]:
                 what = "its autopilot has started anew"
             elif moved[vehicle]:
                 what = f"its origin has moved by {fleet.origin_moved_m[vehicle]:.2f} m"
             else:
-                what = (
-                    f"its local and global positions are {sight.drift_m[vehicle]:.2f} m apart, limit"
-                    f" {self._plan.limits.frame_drift_m:.2g} m"
-                )
+                what = f"its local and global positions are {sight.drift_m[vehicle]:.2f} m apart, limit {limit_m:.2g} m"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
         twins = {row: fleet.twin_behind_one_address(row, sight.now_ns) for row in np.flatnonzero(ours).tolist()}
         found = np.array([twins.get(row) is not None for row in range(len(fleet))])

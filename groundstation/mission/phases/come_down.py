@@ -52,9 +52,8 @@ class _ComingDown(PhaseState):
             abort(
                 f"{names}: not heard from any more, whether it has landed is not known; if it flies, {HELP_IN_THE_AIR}"
             )
-        names = self._names(unsure)
-        if names:
-            abort(f"{names}: stands on the ground and sends no heartbeat, it may still be armed")
+        for vehicle in np.flatnonzero(unsure).tolist():
+            abort(team.landing.words_of_unsure(vehicle, now_ns))
         names = self._names(unheard)
         if names:
             abort(f"{names}: told to stop its motors, and nothing shows that it did; {_KEEP_CLEAR}")
