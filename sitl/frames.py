@@ -76,9 +76,8 @@ def quat_from_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
     Returns:
         Shape (4, n), rows w x y z, w >= 0.
     """
-    cr, sr = np.cos(roll_rad * 0.5), np.sin(roll_rad * 0.5)
-    cp, sp = np.cos(pitch_rad * 0.5), np.sin(pitch_rad * 0.5)
-    cy, sy = np.cos(yaw_rad * 0.5), np.sin(yaw_rad * 0.5)
+    half = np.stack([roll_rad, pitch_rad, yaw_rad]) * 0.5
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
     quat = np.empty((4, *np.shape(roll_rad)))
     quat[0] = cr * cp * cy + sr * sp * sy
     quat[1] = sr * cp * cy - cr * sp * sy
@@ -97,15 +96,11 @@ def frd_from_ned(quat_ned_from_frd: Array, vec_ned: Array) -> Array:
     Returns:
         Shape (3, n).
     """
-    w, x, y, z = quat_ned_from_frd
-    vx, vy, vz = vec_ned
-    # v' = v - 2 w (q x v) + 2 q x (q x v), the rotation by the conjugate
-    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
-    out = np.empty_like(vec_ned)
-    out[0] = vx - w * tx + (y * tz - z * ty)
-    out[1] = vy - w * ty + (z * tx - x * tz)
-    out[2] = vz - w * tz + (x * ty - y * tx)
-    return out
+    # v' = v - 2 w (q x v) + 2 q x (q x v), the rotation by the conjugate; crosses of rows one and two further on
+    twice, q = np.concatenate([vec_ned, vec_ned]), np.concatenate([quat_ned_from_frd[1:], quat_ned_from_frd[1:]])
+    turn = 2.0 * (q[1:4] * twice[2:5] - q[2:5] * twice[1:4])
+    turns = np.concatenate([turn, turn])
+    return np.asarray(vec_ned - quat_ned_from_frd[0] * turn + (q[1:4] * turns[2:5] - q[2:5] * turns[1:4]))
 
 
 def is_place(lat_deg: float, lon_deg: float, alt_m: float) -> bool:

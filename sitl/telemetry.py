@@ -5,13 +5,28 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from sitl import frames
 from sitl.frames import Array
 from sitl.state import State
+
+_T = TypeVar("_T")
+
+
+class _once(Generic[_T]):  # noqa: N801 - a decorator, like functools' cached_property, which takes a lock
+    """Works a property out when it is first asked for."""
+
+    def __init__(self, make: Callable[[Any], _T]) -> None:
+        self._make = make
+
+    def __get__(self, owner: Any, _kind: object = None) -> _T:
+        """Called once: from then on the value is found before this."""
+        value = owner.__dict__[self._make.__name__] = self._make(owner)
+        return value
 
 
 class View:
@@ -24,7 +39,7 @@ class View:
     def __init__(self, state: State) -> None:
         self.state = state
 
-    @cached_property
+    @_once
     def pos_enu_m(self) -> Array:
         """Believed position in the world's frame, white part included, shape (3, n)."""
         state = self.state
@@ -35,7 +50,7 @@ class View:
             believed = np.where(state.broken.invalid, np.nan, believed)
         return np.asarray(believed)
 
-    @cached_property
+    @_once
     def vel_enu_m_s(self) -> Array:
         """Believed velocity, shape (3, n)."""
         state = self.state
@@ -46,17 +61,17 @@ class View:
             believed = np.where(state.broken.invalid, np.nan, believed)
         return np.asarray(believed)
 
-    @cached_property
+    @_once
     def local_ned_m(self) -> Array:
         """Position from each vehicle's own origin, shape (3, n)."""
         return frames.ned_from_enu(self.pos_enu_m - self.state.known.origin_enu_m)
 
-    @cached_property
+    @_once
     def vel_ned_m_s(self) -> Array:
         """Velocity, shape (3, n)."""
         return frames.ned_from_enu(self.vel_enu_m_s)
 
-    @cached_property
+    @_once
     def euler_rad(self) -> tuple[Array, Array, Array]:
         """Roll, pitch, yaw of FRD to NED as estimated, shape (n,) each."""
         dynamics, error = self.state.dynamics, self.state.estimator.att_error
@@ -67,12 +82,12 @@ class View:
         roll, pitch = frames.euler_from_thrust(up, yaw)
         return roll, pitch, yaw
 
-    @cached_property
+    @_once
     def quat_ned_from_frd(self) -> Array:
         """The same as a quaternion, shape (4, n)."""
         return frames.quat_from_euler(*self.euler_rad)
 
-    @cached_property
+    @_once
     def rates_frd_rad_s(self) -> Array:
         """Body rates, shape (3, n)."""
         dynamics = self.state.dynamics
@@ -83,14 +98,14 @@ class View:
         omega[2] += a[0] * b[1] - a[1] * b[0]
         return frames.frd_from_ned(self.quat_ned_from_frd, frames.ned_from_enu(omega))
 
-    @cached_property
+    @_once
     def specific_force_frd_m_s2(self) -> Array:
         """What an accelerometer feels: acceleration minus gravity, shape (3, n)."""
         force = self.state.dynamics.motion.acc_enu_m_s2.copy()
         force[2] += 9.80665
         return frames.frd_from_ned(self.quat_ned_from_frd, frames.ned_from_enu(force))
 
-    @cached_property
+    @_once
     def geodetic(self) -> tuple[Array, Array, Array]:
         """Latitude and longitude in degrees, height in m, shape (n,) each."""
         return self.state.geodesy.geodetic_from_enu(self.pos_enu_m)

@@ -50,7 +50,8 @@ class Transmitter:
 
     def __init__(self, state: State, downlinks: Sequence[Channel], messages: Mapping[str, Message]) -> None:
         self._state, self._downlinks, self._messages = state, downlinks, messages
-        self._pending: dict[int, list[bytes]] = {}
+        self._pending: list[list[bytes]] = [[] for _ in downlinks]
+        self._any_pending = False
         self._under_way: list[_Late] = []
         self._order = 0
         self._sent: list[Outgoing] = []
@@ -68,7 +69,8 @@ class Transmitter:
     def emit(self, index: int, frame: bytes) -> None:
         """Takes a frame that a vehicle sends now."""
         if self._state.talking[index]:
-            self._pending.setdefault(index, []).append(frame)
+            self._pending[index].append(frame)
+            self._any_pending = True
 
     def make(self, name: str, vehicles: NDArray[np.int64]) -> int:
         """Makes one message type for some vehicles; returns how many were sent."""
@@ -85,32 +87,38 @@ class Transmitter:
             able &= ~state.broken.muted[name][vehicles]
         if message_id(name) > V1_LAST_ID:
             able &= np.array([state.pilots[i].voice.encoder.version == 2 for i in vehicles])
-        if not able.all():
+        if False in able.tolist():
             vehicles = vehicles[able]
-        if not len(vehicles):
+        who = vehicles.tolist()
+        if not who:
             return 0
         if self._view is None:
             self._view = View(state)
-        encoders = [state.pilots[i].voice.encoder for i in vehicles]
+        encoders = [state.pilots[i].voice.encoder for i in who]
         rows = message.make(state, self._view, vehicles)
-        for i, frame in zip(vehicles.tolist(), encode_batch(name, rows, encoders), strict=True):
-            self._pending.setdefault(i, []).append(frame)
-        return len(vehicles)
+        pending = self._pending
+        for i, frame in zip(who, encode_batch(name, rows, encoders), strict=True):
+            pending[i].append(frame)
+        self._any_pending = True
+        return len(who)
 
     def flush(self) -> None:
         """Puts what each vehicle has to send onto its link, as few datagrams as fit."""
-        if not self._pending:
+        if not self._any_pending:
             return
+        self._any_pending = False
         state = self._state
-        pending, self._pending = self._pending, {}
-        for index in sorted(pending):
+        for index, pending in enumerate(self._pending):
+            if not pending:
+                continue
+            frames, self._pending[index] = pending, []
             signing = state.signing[index]
             if signing.on:
                 if state.known.has_gps[index]:
                     signing.date(state.unix_us())
-                pending[index] = [signing.sign(frame) for frame in pending[index]]
-            for data in _datagrams(pending[index]):
-                channel = self._downlinks[index]
+                frames = [signing.sign(frame) for frame in frames]
+            channel = self._downlinks[index]
+            for data in _datagrams(frames):
                 if channel.config is PERFECT:
                     self._sent.append(Outgoing(state.now_ns, index, data))
                     continue

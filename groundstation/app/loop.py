@@ -174,7 +174,7 @@ def fly_virtual(
         controls: what else the operator speaks by; looked at before every tick.
     """
     fleet = session.runner.fleet
-    peers = [f"emulator:{sysid}" for sysid in fleet.sysid]
+    peers, links = [f"emulator:{sysid}" for sysid in fleet.sysid], fleet.link.tolist()
     vehicle_of_peer = {peer: vehicle for vehicle, peer in enumerate(peers)}
     desk = _Desk(controls, session)
     now_ns = 0
@@ -184,7 +184,7 @@ def fly_virtual(
             pace(now_ns)
         for sent in world.advance(now_ns):
             t_rx_ns = sent.t_ns - sent.t_ns % _MICROSECOND_NS
-            session.deliver(int(fleet.link[sent.vehicle_index]), peers[sent.vehicle_index], sent.data, t_rx_ns)
+            session.deliver(links[sent.vehicle_index], peers[sent.vehicle_index], sent.data, t_rx_ns)
         if not interrupts.apply(session, now_ns):
             session.settle()
             return

@@ -16,6 +16,7 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.caps import Blocked, dot
+from groundstation.core.quick import between, every, some
 from groundstation.core.regions import SafetyRegion, rot_level_from_flu
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews
@@ -64,7 +65,7 @@ def avoid(views: LocalViews, desired_flu_m_s: FloatArray, region: SafetyRegion) 
     Raises:
         ValueError: shape, or a desired velocity that is not finite.
     """
-    if desired_flu_m_s.shape != (views.viewers, 3) or not np.all(np.isfinite(desired_flu_m_s)):
+    if desired_flu_m_s.shape != (views.viewers, 3) or not every(np.isfinite(desired_flu_m_s)):
         raise ValueError(f"desired velocities must be finite and of shape ({views.viewers}, 3)")
     if region.by_distance:
         return _around(region.blocked(views.rel_pos_flu_m, views.visible, views.grown_m), desired_flu_m_s)
@@ -85,7 +86,7 @@ def _around(cones: Blocked, desired_m_s: FloatArray) -> Avoided:
     blocked = np.zeros(m, dtype=np.bool_)
     angle = np.zeros(m)
     in_the_way = np.zeros_like(cones.active)
-    if not cones.active.any():
+    if not some(cones.active):
         return Avoided(vel, blocked, angle, in_the_way)
     speed = np.sqrt(dot(vel, vel))
     moving = speed > 0.0
@@ -96,7 +97,7 @@ def _around(cones: Blocked, desired_m_s: FloatArray) -> Avoided:
         turned, free = _nearest_free(direction[rows], cones, rows)
         vel[rows] = np.where(free[:, None], turned * speed[rows, None], 0.0)
         blocked[rows] = ~free
-        cosine = np.clip(dot(turned, direction[rows]), 0.0, 1.0)
+        cosine = between(dot(turned, direction[rows]), 0.0, 1.0)
         angle[rows] = np.where(free, np.arccos(cosine), np.pi / 2.0)
     return Avoided(vel, blocked, angle, in_the_way)
 
@@ -143,7 +144,7 @@ def _best_candidate(cones: Blocked, direction: FloatArray) -> tuple[FloatArray, 
     order = np.argsort(-score, axis=1, kind="stable")
     nearest = (everybody[:, None], order[:, :_FIRST])
     best, found = _first_free(cones, candidates[nearest], score[nearest])
-    rows = np.flatnonzero(~found)
+    rows = (~found).nonzero()[0]
     if rows.size:
         others = (rows[:, None], order[rows, _FIRST:])
         some = cones.take(rows[:, None], np.arange(cones.active.shape[1])[None])

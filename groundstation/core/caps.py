@@ -15,6 +15,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 RIM_CLEARANCE_RAD = 1e-9
@@ -131,7 +132,7 @@ class Caps:
         away = direction[:, None] - along[..., None] * centre
         length = np.sqrt(dot(away, away))
         degenerate = length < _DEGENERATE
-        if degenerate.any():
+        if some(degenerate):
             away = np.where(degenerate[..., None], to_the_right(centre), away)
             length = np.sqrt(dot(away, away))
         unit = away / np.where(length > 0.0, length, 1.0)[..., None]

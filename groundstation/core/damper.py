@@ -28,6 +28,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from groundstation.core import frames
+from groundstation.core.quick import between, every
 from groundstation.core.regions import SafetyRegion, SafetySphere, rot_level_from_flu
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews
@@ -170,7 +171,7 @@ def damp(
         ValueError: shape, or a wanted velocity that is not finite.
     """
     m = views.viewers
-    if vel_flu_m_s.shape != (m, 3) or not np.all(np.isfinite(vel_flu_m_s)):
+    if vel_flu_m_s.shape != (m, 3) or not every(np.isfinite(vel_flu_m_s)):
         raise ValueError(f"wanted velocities must be finite and of shape ({m}, 3)")
     normals, bounds = approach_bounds(views, params)
     if common_flu_m_s is not None:
@@ -184,10 +185,10 @@ def damp(
     changed = np.asarray(broken.any(axis=1), dtype=np.bool_)
     vel = vel_flu_m_s.copy()
     held, infeasible = np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_)
-    for i in np.flatnonzero(changed):
+    for i in changed.nonzero()[0]:
         wanted = np.sqrt(float(vel[i] @ vel[i]))
         # While standing still is allowed the answer is no faster than the wish: wider bounds cannot matter.
-        rows = np.flatnonzero(bounds[i] < (np.inf if bounds[i].min() < 0.0 else wanted))
+        rows = (bounds[i] < (np.inf if bounds[i].min() < 0.0 else wanted)).nonzero()[0]
         vel[i], infeasible[i] = project(vel[i], normals[i, rows], bounds[i, rows])
         speed = np.sqrt(float(vel[i] @ vel[i]))
         held[i] = speed < 0.1 * wanted
@@ -204,7 +205,7 @@ def _shared_m_s(views: LocalViews, normals: FloatArray, common_flu_m_s: FloatArr
     told = (normals * common_flu_m_s[:, None]).sum(axis=2)
     mean_flu_m_s = views.vel_flu_m_s[:, None] + 0.5 * views.rel_vel_flu_m_s
     moved = (normals * np.where(np.isfinite(mean_flu_m_s), mean_flu_m_s, 0.0)).sum(axis=2)
-    return np.asarray(np.clip(moved, np.minimum(told, 0.0), np.maximum(told, 0.0)), dtype=np.float64)
+    return np.asarray(between(moved, np.minimum(told, 0.0), np.maximum(told, 0.0)), dtype=np.float64)
 
 
 def walls(rot_ned_from_flu: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -264,7 +265,7 @@ def approach_bounds(views: LocalViews, params: DamperParams) -> tuple[FloatArray
     parting = np.where(np.isfinite(rate), np.minimum(rate, 0.0), -params.speed_limit_m_s)
     left = distance + params.horizon_s * parting
     bounds = 0.5 * params.rate_1_s * left
-    if views.extra_m.any():
+    if np.count_nonzero(views.extra_m):
         unsteered = seen & (views.extra_m > 0.0)
         own = views.vel_flu_m_s[:, None]
         towards = normals[..., 0] * own[..., 0] + normals[..., 1] * own[..., 1] + normals[..., 2] * own[..., 2]

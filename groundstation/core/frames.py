@@ -12,8 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import every
 from groundstation.core.types import FloatArray
 
+_PAIRS = [one + other for one in "wxyz" for other in "wxyz"]
+# Entries of a rotation matrix, row by row, as products of two parts of its quaternion: one, and plus or minus another.
+_ONE = np.array([_PAIRS.index(pair) for pair in ("yy", "xy", "xz", "xy", "xx", "yz", "xz", "yz", "xx")])
+_OTHER = np.array([_PAIRS.index(pair) for pair in ("zz", "wz", "wy", "wz", "zz", "wx", "wy", "wx", "yy")])
+_SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 """Diagonal of the half turn about x that takes FLU to FRD; it is its own inverse."""
 
@@ -90,22 +96,18 @@ def rot_ned_from_frd(quat_ned_from_frd: FloatArray) -> FloatArray:
     quat = np.asarray(quat_ned_from_frd, dtype=np.float64)
     if quat.shape[-1:] != (4,):
         raise ValueError(f"quaternions have shape {quat.shape}, expected (..., 4): w x y z")
-    w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
-    square = w * w + x * x + y * y + z * z
-    if not np.all((square > 1e-12) & (square < np.inf)):
-        raise ValueError("a quaternion is zero or not finite, and so no attitude; leave that vehicle out")
-    s = 2.0 / square
-    rot = np.empty((*quat.shape[:-1], 3, 3))
-    rot[..., 0, 0] = 1.0 - s * (y * y + z * z)
-    rot[..., 0, 1] = s * (x * y - w * z)
-    rot[..., 0, 2] = s * (x * z + w * y)
-    rot[..., 1, 0] = s * (x * y + w * z)
-    rot[..., 1, 1] = 1.0 - s * (x * x + z * z)
-    rot[..., 1, 2] = s * (y * z - w * x)
-    rot[..., 2, 0] = s * (x * z - w * y)
-    rot[..., 2, 1] = s * (y * z + w * x)
-    rot[..., 2, 2] = 1.0 - s * (x * x + y * y)
-    return rot
+    none = "a quaternion is zero or not finite, and so no attitude; leave that vehicle out"
+    if not every(np.isfinite(quat)):
+        raise ValueError(none)
+    products = quat[..., :, None] * quat[..., None, :]
+    square = products[..., 0, 0] + products[..., 1, 1] + products[..., 2, 2] + products[..., 3, 3]
+    if not every((square > 1e-12) & (square < np.inf)):
+        raise ValueError(none)
+    flat = products.reshape(*quat.shape[:-1], 16)
+    # 1 - s (yy + zz), s (xy - wz), s (xz + wy), and so on, all nine together
+    rot = (2.0 / square)[..., None] * (flat.take(_ONE, axis=-1) + flat.take(_OTHER, axis=-1) * _SIGN)
+    rot[..., ::4] = 1.0 - rot[..., ::4]
+    return np.asarray(rot.reshape(*quat.shape[:-1], 3, 3), dtype=np.float64)
 
 
 def rot_ned_from_flu(quat_ned_from_frd: FloatArray) -> FloatArray:
@@ -150,9 +152,9 @@ def rotate(rot_to_from: FloatArray, vector_from: FloatArray) -> FloatArray:
     Returns:
         Shape (..., 3).
     """
-    x, y, z = vector_from[..., 0], vector_from[..., 1], vector_from[..., 2]
-    rows = [rot_to_from[..., k, 0] * x + rot_to_from[..., k, 1] * y + rot_to_from[..., k, 2] * z for k in range(3)]
-    return np.asarray(np.stack(rows, axis=-1), dtype=np.float64)
+    x, y, z = vector_from[..., 0:1], vector_from[..., 1:2], vector_from[..., 2:3]
+    vector_to: FloatArray = rot_to_from[..., 0] * x + rot_to_from[..., 1] * y + rot_to_from[..., 2] * z
+    return vector_to
 
 
 def rotate_back(rot_to_from: FloatArray, vector_to: FloatArray) -> FloatArray:

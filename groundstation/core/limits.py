@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.quick import between, every, norms
 from groundstation.core.types import FloatArray
 
 
@@ -30,7 +31,7 @@ class Fence:
         """Refuses boxes without an inside."""
         if self.min_team_ned_m.shape != (3,) or self.max_team_ned_m.shape != (3,):
             raise ValueError("fence: corners must have shape (3,)")
-        if not np.all(self.min_team_ned_m < self.max_team_ned_m):
+        if not every(self.min_team_ned_m < self.max_team_ned_m):
             raise ValueError(
                 f"fence: every entry of min {self.min_team_ned_m.tolist()} must be below max "
                 f"{self.max_team_ned_m.tolist()} (NED)"
@@ -67,7 +68,7 @@ def clamp_speed(vel_ned_m_s: FloatArray, speed_max_m_s: float) -> FloatArray:
     _check(vel_ned_m_s, "velocities")
     if not speed_max_m_s > 0.0:
         raise ValueError(f"speed limit is {speed_max_m_s} m/s, must be positive")
-    speed = np.linalg.norm(vel_ned_m_s, axis=1)
+    speed = norms(vel_ned_m_s)
     return np.where((speed > speed_max_m_s)[:, None], vel_ned_m_s * _ratio(speed_max_m_s, speed), vel_ned_m_s)
 
 
@@ -93,7 +94,7 @@ def clamp_acceleration(
     if not (accel_max_m_s2 > 0.0 and period_s > 0.0):
         raise ValueError(f"acceleration limit {accel_max_m_s2} m/s^2 and period {period_s} s must be positive")
     change = vel_ned_m_s - previous_ned_m_s
-    size = np.linalg.norm(change, axis=1)
+    size = norms(change)
     step = accel_max_m_s2 * period_s
     return np.where((size > step)[:, None], previous_ned_m_s + change * _ratio(step, size), vel_ned_m_s)
 
@@ -138,7 +139,7 @@ def clamp_to_fence(vel_ned_m_s: FloatArray, pos_team_ned_m: FloatArray, fence: F
     """
     _check(vel_ned_m_s, "velocities")
     low, high = fence_bounds(pos_team_ned_m, fence, rate_1_s)
-    return np.clip(vel_ned_m_s, -low, high)
+    return between(vel_ned_m_s, -low, high)
 
 
 def apply_limits(
@@ -180,7 +181,7 @@ def _check(rows: FloatArray, what: str) -> None:
     """Refuses anything but finite rows of three."""
     if rows.ndim != 2 or rows.shape[1] != 3:
         raise ValueError(f"{what} have shape {rows.shape}, expected (n, 3)")
-    if not np.isfinite(rows).all():
+    if not every(np.isfinite(rows)):
         bad = np.flatnonzero(~np.isfinite(rows).all(axis=1)).tolist()
         raise ValueError(f"{what} of rows {bad} are not finite numbers; nothing may be sent for them")
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import norms
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
@@ -88,7 +89,7 @@ def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None, *, flyin
         Metres; infinite when no pair counts.
     """
     first, second = _pairs(pos_m, counted, flying)
-    return float(np.linalg.norm(pos_m[second] - pos_m[first], axis=1).min(initial=np.inf))
+    return float(norms(pos_m[second] - pos_m[first]).min(initial=np.inf))
 
 
 def min_clearance(

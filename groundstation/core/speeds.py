@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import between, norms
 from groundstation.core.types import BoolArray, FloatArray
 
 _RATE_1_S, _DAMPING = 3.0, 0.7
@@ -72,17 +73,17 @@ class Speeds:
         pull = min(1.0, 2.0 * _DAMPING * _RATE_1_S * passed_s)
         error = self.error_ned_m_s - min(0.25, _RATE_1_S**2 * passed_s**2) / passed_s * off
         error = error * np.exp(-passed_s / _FORGETS_S)
-        size = np.linalg.norm(error, axis=1, keepdims=True)
+        size = norms(error)[..., None]
         error = error * np.minimum(1.0, _MOST_M_S / np.maximum(size, 1e-12))
         self.error_ned_m_s = np.where(on, error, self.error_ned_m_s)
         self._pos = np.where(fresh[:, None], pos_ned_m, np.where(on, ahead + pull * off, self._pos))
         # Plain means at first, then those of the last seconds.
         self._counted_s = np.where(on[:, 0], self._counted_s + passed_s, self._counted_s)
-        share = passed_s / np.clip(self._counted_s, passed_s, _OVER_S)
+        share = passed_s / between(self._counted_s, passed_s, _OVER_S)
         self._square += np.where(on[:, 0], share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
         self.forget(self._gap_s > _GAP_S)
         self.rms_m_s = np.where(self._counted_s >= _ENOUGH_S, np.sqrt(self._square), 0.0)
-        self.share = np.clip((self.rms_m_s - AGREES_M_S) / (DISAGREES_M_S - AGREES_M_S), 0.0, 1.0)
+        self.share = between((self.rms_m_s - AGREES_M_S) / (DISAGREES_M_S - AGREES_M_S), 0.0, 1.0)
 
     def forget(self, rows: BoolArray) -> None:
         """Positions count from anew, as after a gap, shape (n,); how good the velocities were stays known."""

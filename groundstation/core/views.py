@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.quick import every
 from groundstation.core.types import BoolArray, FloatArray
 
 _NOBODY: FloatArray = np.zeros((0, 0))
@@ -50,7 +51,7 @@ class LocalViews:
             given = getattr(self, name)
             if given is _NOBODY:
                 object.__setattr__(self, name, np.zeros((m, n)))
-            elif given.shape != (m, n) or not np.all((given >= 0.0) & (given < np.inf)):
+            elif given.shape != (m, n) or not every((given >= 0.0) & (given < np.inf)):
                 raise ValueError(f"views: extra radii must be finite, not negative and of shape ({m}, {n})")
         if self.up_flu is _NOBODY:
             object.__setattr__(self, "up_flu", np.tile([0.0, 0.0, 1.0], (m, 1)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
+from groundstation.core.quick import between, length, norms
 from groundstation.core.types import BoolArray, FloatArray
 
 GUST_TAU_S = (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -40,7 +41,7 @@ class Airframe:
 
     def pull_m_s2(self, air_m_s: FloatArray) -> FloatArray:
         """Acceleration by air that moves past the vehicle, shape (..., 3)."""
-        speed = np.linalg.norm(air_m_s, axis=-1, keepdims=True)
+        speed = norms(air_m_s)[..., None]
         return np.asarray((self.air_1_s + self.air_1_m * speed) * air_m_s)
 
     def slope_1_s(self, mean_m_s: float) -> float:
@@ -49,7 +50,7 @@ class Airframe:
 
     def air_m_s(self, pull_m_s2: FloatArray) -> FloatArray:
         """Velocity of the air past the vehicle that pulls so, shape (..., 3): the inverse of ``pull_m_s2``."""
-        size = np.linalg.norm(pull_m_s2, axis=-1, keepdims=True)
+        size = norms(pull_m_s2)[..., None]
         # The stable form of (sqrt(a^2 + 4 b p) - a) / (2 b), good for b = 0 too.
         root = np.sqrt(self.air_1_s**2 + 4.0 * self.air_1_m * size)
         return np.asarray(2.0 * pull_m_s2 / (self.air_1_s + root))
@@ -210,8 +211,8 @@ class WindEstimate:
         self._lean = np.where(new, lean, self._lean + step * (lean - self._lean))
         self._vel = np.where(new, vel, self._vel + step * (vel - self._vel))
         push = (vel - self._vel) / _SMOOTH_S - self._lean + self._drag * self._own
-        size = np.linalg.norm(push, axis=1, keepdims=True)
-        unsure = _OWN_SHARE * self._drag * np.linalg.norm(self._own, axis=1, keepdims=True)
+        size = norms(push)[..., None]
+        unsure = _OWN_SHARE * self._drag * norms(self._own)[..., None]
         push = push * np.maximum(1.0 - unsure / np.maximum(size, 1e-9), 0.0)
         self.push_m_s2 = np.where(new, 0.0, push)
         self._expect(passed_s, new)
@@ -229,12 +230,12 @@ class WindEstimate:
         """Mean and spread of the pushes, and the wind that they are made by."""
         age_s = np.maximum(self._age_s - _NEW_S, 0.0)
         old = age_s > 0.0
-        gain = np.where(old, passed_s / np.clip(age_s, max(passed_s, 1e-9), _MEAN_S), 0.0)[:, None]
+        gain = np.where(old, passed_s / between(age_s, max(passed_s, 1e-9), _MEAN_S), 0.0)[:, None]
         self._slow = np.where(old[:, None], self._slow + gain * (self.push_m_s2 - self._slow), 0.0)
         rest = ((self.push_m_s2 - self._slow) ** 2).sum(axis=1) / 2.0
-        gain = np.where(old, passed_s / np.clip(age_s, max(passed_s, 1e-9), _SPREAD_S), 0.0)
+        gain = np.where(old, passed_s / between(age_s, max(passed_s, 1e-9), _SPREAD_S), 0.0)
         self._square = np.where(old, self._square + gain * (rest - self._square), 0.0)
-        seen = np.flatnonzero(counts & (age_s >= _KNOWN_S))
+        seen = (counts & (age_s >= _KNOWN_S)).nonzero()[0]
         self.known = bool(len(seen))
         if not self.known:
             self.mean_ned_m_s, self.gust_m_s = np.zeros(3), 0.0
@@ -242,7 +243,7 @@ class WindEstimate:
         winds = [self._frames[i].air_m_s(self._slow[i]) for i in seen]
         # One vehicle that is odd makes no weather.
         self.mean_ned_m_s = np.median(winds, axis=0)
-        mean_m_s = float(np.linalg.norm(self.mean_ned_m_s))
+        mean_m_s = length(self.mean_ned_m_s)
         gusts = [
             max(float(self._square[i]) - _LEVEL_M_S2**2, 0.0) / self._frames[i].slope_1_s(0.75 * mean_m_s) ** 2
             for i in seen

@@ -10,6 +10,7 @@ from collections import deque
 
 import numpy as np
 
+from groundstation.core.quick import every
 from groundstation.core.types import BoolArray, IntArray
 
 _RETURNS, _WITHIN_NS = 5, 8_000_000_000
@@ -23,18 +24,21 @@ class Alternation:
     Args:
         n: number of vehicles.
         tolerance: differences up to this are none.
+
+    Attributes:
+        quiet: no value has ever come back.
     """
 
     def __init__(self, n: int, tolerance: int = 0) -> None:
         self._tolerance = tolerance
-        self._quiet = True
+        self.quiet = True
         self._last: IntArray = np.full(n, _NONE, dtype=np.int64)
         self._before: IntArray = np.full(n, _NONE, dtype=np.int64)
         self._returns: list[deque[int]] = [deque(maxlen=_RETURNS) for _ in range(n)]
 
     def take(self, row: IntArray, value: IntArray, t_rx_ns: IntArray) -> None:
         """Takes values in the order of their arrival, shape (k,) each."""
-        if len(set(row.tolist())) == len(row) and bool((self._last[row] == value).all()):
+        if len(set(row.tolist())) == len(row) and every(self._last[row] == value):
             return
         for vehicle, now, t_ns in zip(row.tolist(), value.tolist(), t_rx_ns.tolist(), strict=True):
             last = int(self._last[vehicle])
@@ -47,7 +51,7 @@ class Alternation:
     def mark(self, vehicle: int, t_rx_ns: int) -> None:
         """Notes that a value has come back."""
         self._returns[vehicle].append(t_rx_ns)
-        self._quiet = False
+        self.quiet = False
 
     def values(self, vehicle: int) -> tuple[int, int]:
         """The last value and the one before it."""
@@ -60,7 +64,7 @@ class Alternation:
     def in_doubt(self, now_ns: int) -> BoolArray:
         """Vehicles whose value has begun to go to and fro, shape (n,)."""
         n = len(self._returns)
-        if self._quiet:
+        if self.quiet:
             return np.zeros(n, dtype=np.bool_)
         return np.array([self._of_late(vehicle, now_ns) >= _DOUBTED for vehicle in range(n)])
 

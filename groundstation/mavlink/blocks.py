@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.core.quick import every, some
 from groundstation.core.types import BoolArray, IntArray
 from groundstation.mavlink.checksums import ROW, Sums, Words
 from groundstation.mavlink.codec import Batch
@@ -148,7 +149,7 @@ class Block:
             shape = known.get(number)
             if shape is None or (wanted is not None and number not in wanted):
                 continue
-            rows = np.flatnonzero(msgid == number)
+            rows = (msgid == number).nonzero()[0]
             if among is not None:
                 rows = among[rows]
             values = self._window(shape.size)[self.payload[rows]]
@@ -178,50 +179,42 @@ class Arrivals:
 
     def __init__(self) -> None:
         self.size = 0
-        self._datas: list[bytes] = []
-        self._links: list[int] = []
-        self._sources: list[int] = []
-        self._t_rx_ns: list[int] = []
+        self._items: list[tuple[int, int, int, bytes]] = []
         self._number: dict[tuple[int, str], int] = {}
         self._named: tuple[tuple[int, str], ...] = ()
 
     def __len__(self) -> int:
         """Number of datagrams."""
-        return len(self._datas)
+        return len(self._items)
 
     def add(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes one datagram."""
-        self._datas.append(data)
-        self._links.append(link)
-        self._sources.append(self._number.setdefault((link, peer), len(self._number)))
-        self._t_rx_ns.append(t_rx_ns)
+        number = self._number
+        self._items.append((link, number.setdefault((link, peer), len(number)), t_rx_ns, data))
         self.size += len(data)
 
     def datagrams(self) -> list[tuple[int, str, bytes, int]]:
         """Hands out the datagrams one by one: link, peer, bytes, time."""
         sources = list(self._number)
-        taken = [
-            (*sources[source], data, t_ns)
-            for source, data, t_ns in zip(self._sources, self._datas, self._t_rx_ns, strict=True)
-        ]
+        taken = [(*sources[source], data, t_ns) for _, source, t_ns, data in self._items]
         self._clear()
         return taken
 
     def block(self) -> Block:
         """Hands out the datagrams as a block."""
-        offsets = np.zeros(len(self._datas) + 1, dtype=np.int64)
-        np.cumsum([len(data) for data in self._datas], out=offsets[1:])
+        offsets = np.zeros(len(self._items) + 1, dtype=np.int64)
+        datas = [item[3] for item in self._items]
+        np.add.accumulate(list(map(len, datas)), out=offsets[1:])
         if len(self._named) != len(self._number):
             self._named = tuple(self._number)
-        columns = [np.array(column, dtype=np.int64) for column in (self._links, self._sources, self._t_rx_ns)]
-        block = split(b"".join(self._datas), Datagrams(offsets, columns[0], columns[1], columns[2], self._named))
+        links, sources, times_ns = np.array([item[:3] for item in self._items], dtype=np.int64).reshape(-1, 3).T.copy()
+        block = split(b"".join(datas), Datagrams(offsets, links, sources, times_ns, self._named))
         self._clear()
         return block
 
     def _clear(self) -> None:
         self.size = 0
-        for column in (self._datas, self._links, self._sources, self._t_rx_ns):
-            column.clear()
+        self._items.clear()
         if len(self._number) > _SOURCES_MAX:
             self._number.clear()
             self._named = ()
@@ -278,7 +271,7 @@ def split(data: bytes, datagrams: Datagrams) -> Block:
     words: Words = np.ndarray((len(data) - 1,), dtype="<u2", buffer=data, strides=(1,))
     longs: IntArray = np.ndarray((size,), dtype="<i8", buffer=data, strides=(1,))
 
-    at = np.flatnonzero(_is_magic(octets[:size]))
+    at = _is_magic(octets[:size]).nonzero()[0]
     datagram = np.searchsorted(datagrams.offsets, at, side="right") - 1
     head = longs[at]
     second = (head & 0xFF) == MAGIC_V2
@@ -287,7 +280,7 @@ def split(data: bytes, datagrams: Datagrams) -> Block:
     flags = np.where(second, (head >> 16) & 0xFF, 0)
     stop = body_stop + CRC_BYTES + SIGNATURE_BYTES * (flags & INCOMPAT_SIGNED)
     limit = datagrams.offsets[datagram + 1]
-    fits = np.flatnonzero((stop <= limit) & (flags <= INCOMPAT_SIGNED))
+    fits = ((stop <= limit) & (flags <= INCOMPAT_SIGNED)).nonzero()[0]
     if len(fits) < len(at):
         at, datagram, head, second, payload, body_stop, flags, stop, limit = (
             column[fits] for column in (at, datagram, head, second, payload, body_stop, flags, stop, limit)
@@ -299,19 +292,19 @@ def split(data: bytes, datagrams: Datagrams) -> Block:
     known = extra >= 0
     chosen = known.copy()
     if len(at):
-        tested = slice(None) if known.all() else np.flatnonzero(known)
+        tested = slice(None) if every(known) else known.nonzero()[0]
         sums = Sums(octets)
         made = sums.checksums(at[tested] + 1, body_stop[tested], extra[tested].astype(np.uint16))
         chosen[tested] = made == words[body_stop[tested]]
         if not isinstance(tested, slice):
-            unknown = np.flatnonzero(~known)
+            unknown = (~known).nonzero()[0]
             good = np.append(at[chosen], _FAR)
             follows = (stop[unknown] == limit[unknown]) | _is_magic(octets[stop[unknown]])
             none_inside = good[np.searchsorted(good, at[unknown], side="right")] >= stop[unknown]
             chosen[unknown] = follows & none_inside
-    rows = np.flatnonzero(chosen)
+    rows = chosen.nonzero()[0]
     begins, ends = at[rows], stop[rows]
-    if (begins[1:] < ends[:-1]).any():
+    if some(begins[1:] < ends[:-1]):
         rows = rows[_one_behind_the_other(begins.tolist(), ends.tolist())]
         begins, ends = at[rows], stop[rows]
     names = head[rows] >> np.where(second[rows], 32, 16)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.quick import every
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _KEPT_NS = 60_000_000_000
@@ -227,8 +228,8 @@ class BootTimes:
         first = self._last_ms[row] < 0
         most_ms = (t_rx_ns - self._last_rx_ns[row]) // 1_000_000 + _AHEAD_MS
         gone_ms = boot_ms - self._last_ms[row]
-        plain = bool((first | ((gone_ms >= 0) & (gone_ms <= most_ms))).all())
-        if plain and not self._back.any() and len(set(row.tolist())) == len(row):
+        plain = every(first | ((gone_ms >= 0) & (gone_ms <= most_ms)))
+        if plain and not np.count_nonzero(self._back) and len(set(row.tolist())) == len(row):
             self._last_ms[row], self._last_rx_ns[row] = boot_ms, t_rx_ns
             return fresh, []
         restarted: list[int] = []
@@ -256,6 +257,11 @@ class BootTimes:
                     restarted.append(vehicle)
             self._last_ms[vehicle], self._last_rx_ns[vehicle] = boot, t_ns
         return fresh, restarted
+
+    @property
+    def quiet(self) -> bool:
+        """No vehicle's times have ever run back, or jumped."""
+        return not any(self._flips)
 
     def _most_ms(self, vehicle: int, t_rx_ns: int) -> int:
         """How far a vehicle's clock can have gone since its last message."""

@@ -195,7 +195,7 @@ class Encoder:
         if unknown:
             raise KeyError(f"{name} has no field {', '.join(sorted(unknown))}")
         try:
-            payload = shape.packer.pack(*_flatten(shape, fields))
+            payload = shape.byte_packer.pack(*_flatten(shape, fields))
         except (struct.error, OverflowError, TypeError) as error:
             raise ValueError(f"{name}: a value does not fit its field: {error}") from error
         return self.frame(shape, payload)
@@ -243,6 +243,9 @@ def _base_size(msgid: int) -> int:
     return int(message.unpacker.size)
 
 
+_OCTET = np.dtype(np.uint8)
+
+
 def _flatten(shape: Layout, fields: dict[str, Any]) -> Iterable[Any]:
     for name, length in zip(shape.field_names, shape.array_lengths, strict=True):
         value = fields.get(name)
@@ -252,10 +255,13 @@ def _flatten(shape: Layout, fields: dict[str, Any]) -> Iterable[Any]:
                 raise ValueError(f"{shape.name}.{name}: {len(text)} bytes, limit {length}")
             yield text
         elif length:
-            items = list(value) if value is not None else []
+            items = value if isinstance(value, bytes) else list(value if value is not None else ())
             if len(items) > length:
                 raise ValueError(f"{shape.name}.{name}: {len(items)} values, limit {length}")
-            yield from items + [0] * (length - len(items))
+            if shape.dtype[name].base == _OCTET:
+                yield value if isinstance(value, bytes) else struct.pack(f"{len(items)}B", *items)  # zeros fill it up
+            else:
+                yield from [*items, *[0] * (length - len(items))]
         else:
             yield 0 if value is None else value
 
@@ -284,9 +290,20 @@ def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]
         raise ValueError(f"{name}: {len(values)} rows of {values.dtype} for {len(encoders)} encoders")
     if len(values) >= _FEW and encoders.count(encoders[0]) == len(encoders) and encoders[0].version == MAVLINK_2:
         return encode_rows(name, values, encoders[0])
-    joined = values.tobytes()
-    size = shape.size
-    return [encoder.frame(shape, joined[k * size : (k + 1) * size]) for k, encoder in enumerate(encoders)]
+    joined, size = values.tobytes(), shape.size
+    payloads = (joined[start : start + size] for start in range(0, len(joined), size))
+    if any(encoder.version != MAVLINK_2 for encoder in encoders):
+        return [encoder.frame(shape, payload) for encoder, payload in zip(encoders, payloads, strict=True)]
+    # As ``Encoder.frame`` does it, without a call for each.
+    msgid, extra = shape.msgid.to_bytes(3, "little"), bytes((shape.crc_extra,))
+    frames = []
+    for encoder, payload in zip(encoders, payloads, strict=True):
+        cut, seq = payload.rstrip(b"\0") or b"\0", encoder.seq
+        encoder.seq = (seq + 1) & 0xFF
+        body = bytes((len(cut), 0, 0, seq, encoder.sysid, encoder.compid)) + msgid + cut
+        checksum: int = crc16.mcrf4xx(body + extra)
+        frames.append(b"\xfd" + body + checksum.to_bytes(2, "little"))
+    return frames
 
 
 def encode_rows(name: str, values: StructuredArray, encoder: Encoder) -> list[bytes]:

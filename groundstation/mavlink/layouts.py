@@ -32,6 +32,7 @@ class Layout:
         crc_extra: byte that enters the checksum after the payload.
         dtype: packed structured type, fields in wire order, little endian, extensions included.
         packer: the same as ``struct.Struct``, arrays flattened.
+        byte_packer: the same with arrays of uint8 taken as bytes, however few of them.
         field_names: in wire order.
         array_lengths: 0 for scalars; for char arrays the number of bytes.
     """
@@ -41,6 +42,7 @@ class Layout:
     crc_extra: int
     dtype: np.dtype[np.void]
     packer: struct.Struct
+    byte_packer: struct.Struct
     field_names: tuple[str, ...]
     array_lengths: tuple[int, ...]
 
@@ -98,7 +100,20 @@ def _read_layout(message: Any) -> Layout:
     packer = struct.Struct(message.unpacker.format)
     if dtype.itemsize != packer.size:
         raise AssertionError(f"{message.msgname}: {dtype.itemsize} bytes as columns, {packer.size} on the wire")
-    return Layout(str(message.msgname), int(message.id), int(message.crc_extra), dtype, packer, names, lengths)
+    bytewise = "".join(
+        f"{length}s" if code == "B" and length else f"{length or ''}{'s' if code == 'c' else code}"
+        for code, length in zip(codes, lengths, strict=True)
+    )
+    return Layout(
+        str(message.msgname),
+        int(message.id),
+        int(message.crc_extra),
+        dtype,
+        packer,
+        struct.Struct(f"<{bytewise}"),
+        names,
+        lengths,
+    )
 
 
 @cache

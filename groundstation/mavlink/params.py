@@ -115,6 +115,7 @@ class ParamDesk:
         self._next_ns = [0] * n
         self._sent = [0] * n
         self._answered = [0] * n
+        self._settled = [False] * n  # nothing is asked for, and nothing has changed since that was seen
 
     def pace(self, vehicle: int, *, spacing_ns: int, delay_ns: int = 0) -> None:
         """Says how far apart questions to a vehicle are to be, and how much longer than usual an answer takes."""
@@ -130,10 +131,12 @@ class ParamDesk:
         if len(name.encode()) > _NAME_BYTES:
             raise ValueError(f"parameter {name}: longer than {_NAME_BYTES} bytes")
         self._entries[vehicle].setdefault(name, _Entry())
+        self._settled[vehicle] = False
 
     def write(self, vehicle: int, name: str, bits: int, kind: int) -> None:
         """Sets a parameter; until the vehicle has told its value again, it counts as asked for."""
         self._entries[vehicle][name] = _Entry(write=(bits, kind), value=self.value(vehicle, name))
+        self._settled[vehicle] = False
 
     def drop(self, vehicle: int, name: str) -> None:
         """Takes a question back; what is known stays."""
@@ -160,6 +163,7 @@ class ParamDesk:
         entry = self._entries[value.vehicle].get(value.name)
         if entry is None:
             return
+        self._settled[value.vehicle] = False
         if entry.write is not None and entry.write[0] != value.bits:
             entry.others += 1
             if entry.others < _OTHERS:  # may be the late answer to a question from before
@@ -173,10 +177,13 @@ class ParamDesk:
         """Says what has to be sent now."""
         questions = []
         for vehicle, entries in enumerate(self._entries):
+            if self._settled[vehicle]:
+                continue
             under_way = 0
             if not self._answered[vehicle] and any(e.state is ParamState.UNKNOWN for e in entries.values()):
                 for entry in entries.values():  # it answers no such question at all
                     entry.state = ParamState.UNKNOWN
+            self._settled[vehicle] = not any(entry.state is ParamState.ASKED for entry in entries.values())
             for name, entry in entries.items():
                 if entry.state is not ParamState.ASKED:
                     continue

@@ -88,6 +88,11 @@ class Senders:
 
     # What follows from it
 
+    @property
+    def quiet(self) -> bool:
+        """Nothing has ever been suspicious that ``alternating`` would tell of."""
+        return all(item.quiet for item, _ in self._words) and all(len(boards) < 2 for boards in self._boards.values())
+
     def part(self, vehicle: int, now_ns: int) -> Kind | None:
         """What else has been speaking as the autopilot of late, without being one."""
         kind, t_ns = self._parts.get(vehicle, (None, 0))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from groundstation.core.quick import every, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.autopilot import FRAME_LOCAL_NED, MASK_VELOCITY_AND_YAW
 from groundstation.mavlink.blocks import Block, merge
@@ -145,7 +146,7 @@ class Station:
         """
         fleet = self.fleet
         frames: list[list[bytes]] = [[] for _ in range(len(fleet))]
-        rows = np.flatnonzero(streaming)
+        rows = streaming.nonzero()[0]
         for row, raw in zip(rows, self._setpoints(now_ns, vel_ned_m_s, yaw_ned_rad, rows), strict=True):
             frames[row].append(raw)
         for request in fleet.take_timesync_requests():
@@ -203,7 +204,7 @@ class Station:
     def _synchronise(self, now_ns: int, frames: list[list[bytes]]) -> None:
         """Asks for the vehicles' time, once for all behind one address: all of them answer."""
         clocks = self.fleet.clocks
-        if clocks.doubtful().any():
+        if some(clocks.doubtful()):
             self._next_timesync_ns = min(self._next_timesync_ns, self._last_timesync_ns + _TIMESYNC_EAGER_NS)
         if now_ns < self._next_timesync_ns:
             return
@@ -220,7 +221,7 @@ class Station:
     def _setpoints(
         self, now_ns: int, vel_ned_m_s: FloatArray, yaw_ned_rad: FloatArray, rows: Sequence[int] | np.ndarray
     ) -> list[bytes]:
-        if not np.isfinite(vel_ned_m_s[rows]).all() or not np.isfinite(yaw_ned_rad[rows]).all():
+        if not every(np.isfinite(vel_ned_m_s[rows])) or not every(np.isfinite(yaw_ned_rad[rows])):
             raise ValueError("a setpoint is not a finite number")
         values = blank("SET_POSITION_TARGET_LOCAL_NED", len(rows))
         values["time_boot_ms"] = ((now_ns - self._start_ns) // 1_000_000) & 0xFFFFFFFF

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.core import frames
+from groundstation.core.quick import every, norms, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.clocks import BootTimes, Clocks
@@ -280,10 +281,10 @@ class Fleet:
         among = None
         system = known & (row >= 0)
         # A vehicle from elsewhere, or a heartbeat of another kind: who it is, is judged one by one.
-        if not right[system & autopilot].all() or not self._heartbeats_as_ever(block, row):
+        if not every(right[system & autopilot]) or not self._heartbeats_as_ever(block, row):
             self.ingest(received_frames(block))
             return
-        if not right.all():
+        if not every(right):
             self._count("unknown message", int((~known).sum()))
             self._count("unknown system", int((known & (row < 0)).sum()))
             self._count("other component", int((system & ~autopilot).sum()))
@@ -293,7 +294,7 @@ class Fleet:
             for sysid, link, t_ns in zip(block.sysid[strangers].tolist(), links, times, strict=True):
                 if len(self._elsewhere) < _ELSEWHERE_MAX:
                     self._elsewhere[sysid, link] = t_ns
-            among = np.flatnonzero(right)
+            among = right.nonzero()[0]
             if not len(among):
                 return
         time_of_frame = block.datagrams.t_rx_ns[block.datagram]
@@ -302,14 +303,14 @@ class Fleet:
 
     def _heartbeats_as_ever(self, block: Block, row: IntArray) -> bool:
         """Whether all heartbeats under the vehicles' ids are of the autopilots that were heard there before."""
-        beats = np.flatnonzero((block.msgid == _HEARTBEAT) & (row >= 0))
+        beats = ((block.msgid == _HEARTBEAT) & (row >= 0)).nonzero()[0]
         if not len(beats):
             return True
-        if not (block.compid[beats] == AUTOPILOT_COMPID).all() or int(block.payload_size[beats].min()) < _KIND_BYTES:
+        if not every(block.compid[beats] == AUTOPILOT_COMPID) or int(block.payload_size[beats].min()) < _KIND_BYTES:
             return False
         octets, payload, vehicle = np.frombuffer(block.data, dtype=np.uint8), block.payload[beats], row[beats]
         same_type = octets[payload + _TYPE_AT] == self.mav_type[vehicle]
-        return bool((same_type & (octets[payload + _AUTOPILOT_AT] == self.autopilot[vehicle])).all())
+        return every(same_type & (octets[payload + _AUTOPILOT_AT] == self.autopilot[vehicle]))
 
     def _sources(self, block: Block) -> IntArray:
         """Which of the block's sources each vehicle is heard from, -1 for none of them, shape (n,)."""
@@ -397,6 +398,14 @@ class Fleet:
             )
         return None
 
+    def twins_behind_one_address(self, now_ns: int) -> dict[int, str]:
+        """The same of everybody: words by row, of those that are two."""
+        times = (self._position_times, self._place_times, self._attitude_times)
+        if self.senders.quiet and all(item.quiet for item in times):
+            return {}
+        found = ((row, self.twin_behind_one_address(row, now_ns)) for row in range(len(self)))
+        return {row: words for row, words in found if words is not None}
+
     def strangers(self, link: int, now_ns: int) -> list[int]:
         """System ids heard on a link in the last seconds that are not expected there."""
         ids = (sysid for (sysid, where), t_ns in self._elsewhere.items() if where == link and now_ns - t_ns < _RIVAL_NS)
@@ -472,11 +481,11 @@ class Fleet:
         flies &= (self.landed_state[row] != LANDED_LANDING) | self._moves(row, t_ns)
         flies &= ~self.disarm_expected[row]
         doubted = ~armed & self.armed[row] & flies
-        for k in np.flatnonzero(doubted).tolist():
+        for k in doubted.nonzero()[0].tolist():
             told = (int(t_ns[k]), int(mode[k]), int(values["system_status"][k]))
             self._told[int(row[k])] = told
         self.disarm_doubted[row] = doubted
-        if doubted.any():
+        if some(doubted):
             self.counts["heartbeat that says disarmed of one that flies"] += int(doubted.sum())
             row, t_ns, armed, mode, values = (item[~doubted] for item in (row, t_ns, armed, mode, values))
         self.heartbeat_ns[row] = t_ns
@@ -488,7 +497,7 @@ class Fleet:
         """Whether vehicles move by either of their velocities, shape (k,); unknown counts as moving."""
         speeds = []
         for velocity, measured_ns in ((self.vel_ned_m_s, self.pose_ns), (self.place_vel_ned_m_s, self.place_ns)):
-            speed = np.linalg.norm(velocity[row], axis=1)
+            speed = norms(velocity[row])
             speeds.append(np.where(t_ns - measured_ns[row] < _LANDED_FRESH_NS, speed, np.nan))
         known = np.isfinite(speeds)
         fastest = np.where(known, speeds, -1.0).max(axis=0)
@@ -508,7 +517,7 @@ class Fleet:
         fresh, restarted = times.take(row, boot_ms, t_ns)
         for vehicle in restarted:
             self._start_anew(vehicle)
-        if not fresh.all():
+        if not every(fresh):
             self.counts["older than what was there"] += int((~fresh).sum())
         return fresh, self.clocks.measured_ns(row, boot_ms, t_ns)
 
@@ -531,7 +540,7 @@ class Fleet:
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid: BoolArray = number & fresh
         self._compare_places(position, velocity, row, t_ns, number)
-        if not valid.all():
+        if not every(valid):
             self._count("position that is not a number", int((~number).sum()))
             position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
         self.pos_local_ned_m[row] = position
@@ -543,10 +552,10 @@ class Fleet:
         self, position: FloatArray, velocity: FloatArray, row: IntArray, t_ns: IntArray, number: BoolArray
     ) -> None:
         """Looks for positions that are not on the way of the one before: those of one vehicle are, late ones too."""
-        away = np.linalg.norm(position - self.pos_local_ned_m[row], axis=1)
-        speed = np.linalg.norm(velocity, axis=1) + np.linalg.norm(self.vel_ned_m_s[row], axis=1)
+        away = norms(position - self.pos_local_ned_m[row])
+        speed = norms(velocity) + norms(self.vel_ned_m_s[row])
         soon = t_ns - self.pose_ns[row] < _FRESH_NS
-        for k in np.flatnonzero(number & soon & (away > _TWO_PLACES_M + speed)).tolist():
+        for k in (number & soon & (away > _TWO_PLACES_M + speed)).nonzero()[0].tolist():
             self.senders.other_place(int(row[k]), int(t_ns[k]))
 
     def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
@@ -592,11 +601,11 @@ class Fleet:
         values = batch.values
         np.add.at(self.seen["ATTITUDE_QUATERNION"], row, 1)
         quat = np.stack([values["q1"], values["q2"], values["q3"], values["q4"]], axis=1).astype(np.float64)
-        norm = np.linalg.norm(quat, axis=1)
+        norm = norms(quat)
         rotation = np.isfinite(norm) & (np.abs(norm - 1.0) < 0.05)
         fresh, measured_ns = self._when(self._attitude_times, batch, row, t_ns)
         valid = rotation & fresh
-        if not valid.all():
+        if not every(valid):
             self._count("attitude that is no rotation", int((~rotation).sum()))
             quat, norm, row = quat[valid], norm[valid], row[valid]
             measured_ns, t_ns = measured_ns[valid], t_ns[valid]
@@ -610,7 +619,7 @@ class Fleet:
         values = batch.values
         np.add.at(self.seen["ATTITUDE"], row, 1)
         needed = t_ns - self._quaternion_ns[row] > _QUATERNION_OLD_NS
-        if not needed.any():
+        if not some(needed):
             return
         euler = np.stack([values["roll"], values["pitch"], values["yaw"]]).astype(np.float64)
         measured_ns = self.clocks.measured_ns(row, values["time_boot_ms"].astype(np.int64), t_ns)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.quick import some
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Findings, Sight
@@ -84,7 +85,7 @@ class Lookout:
         team.landing.want_here(findings.land, poses.pos_team_ned_m, now_ns)
         if findings.gone:
             roster.go_home(findings.home)
-            if (were & ~roster.in_formation).any():
+            if some(were & ~roster.in_formation):
                 machine.drop_out("; ".join(findings.gone), now_ns)
         if findings.aborts:
             reason = self._blame.of(findings.aborts, team.verdict.reason)

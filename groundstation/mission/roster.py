@@ -45,6 +45,10 @@ class Duty(IntEnum):
     """Its motors are to stop; no longer ours otherwise."""
 
 
+# As plain numbers: members of an enumeration cost as much to look up as a comparison of the whole team.
+_CLIMBS, _FORMATION, _HOMEWARD, _LANDS, _LANDS_HERE, _RELEASED, _KILLED = map(int, list(Duty)[1:])
+
+
 class Duties:
     """The duties of n vehicles, and who counts for what; for those that only look.
 
@@ -71,32 +75,38 @@ class Duties:
     @property
     def ours(self) -> BoolArray:
         """Neither released nor killed: monitors judge them, commands go to them, shape (n,)."""
-        return np.asarray(self._duty < Duty.RELEASED)
+        mask: BoolArray = self._duty < _RELEASED
+        return mask
 
     @property
     def killed(self) -> BoolArray:
         """Motors are to stop, shape (n,)."""
-        return np.asarray(self._duty == Duty.KILLED)
+        mask: BoolArray = self._duty == _KILLED
+        return mask
 
     @property
     def climbing(self) -> BoolArray:
         """Climbs by command and has not arrived, shape (n,)."""
-        return np.asarray(self._duty == Duty.CLIMBS)
+        mask: BoolArray = self._duty == _CLIMBS
+        return mask
 
     @property
     def in_formation(self) -> BoolArray:
         """Flies with the team, or is on its way up to it, shape (n,)."""
-        return np.asarray((self._duty == Duty.FORMATION) | (self._duty == Duty.CLIMBS))
+        mask: BoolArray = (self._duty == _FORMATION) | (self._duty == _CLIMBS)
+        return mask
 
     @property
     def homeward(self) -> BoolArray:
         """Flies home apart from the formation, and does not land yet, shape (n,)."""
-        return np.asarray(self._duty == Duty.HOMEWARD)
+        mask: BoolArray = self._duty == _HOMEWARD
+        return mask
 
     @property
     def steered(self) -> BoolArray:
         """Gets setpoints, shape (n,); while it lands they are to stand still."""
-        return np.asarray((self._duty > Duty.CLIMBS) & (self._duty < Duty.RELEASED))
+        mask: BoolArray = (self._duty > _CLIMBS) & (self._duty < _RELEASED)
+        return mask
 
     @property
     def follows(self) -> BoolArray:
@@ -111,17 +121,20 @@ class Duties:
     @property
     def lands(self) -> BoolArray:
         """Is to land, told or not, shape (n,)."""
-        return np.asarray((self._duty == Duty.LANDS) | (self._duty == Duty.LANDS_HERE))
+        mask: BoolArray = (self._duty == _LANDS) | (self._duty == _LANDS_HERE)
+        return mask
 
     @property
     def lands_here(self) -> BoolArray:
         """Is to land where it is while others fly, shape (n,): it comes down, and nobody may stay under it."""
-        return np.asarray(self._duty == Duty.LANDS_HERE)
+        mask: BoolArray = self._duty == _LANDS_HERE
+        return mask
 
     @property
     def told_to_land(self) -> BoolArray:
         """Was told to land: it may leave the mode that follows us, and disarm, shape (n,)."""
-        return np.asarray(self._told_ns != NEVER)
+        mask: BoolArray = self._told_ns != NEVER
+        return mask
 
     @property
     def lands_since_ns(self) -> IntArray:

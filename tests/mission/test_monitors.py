@@ -528,9 +528,7 @@ def test_an_origin_that_positions_follow_or_say_nothing_of_lands_the_vehicle(mov
 
 def test_two_vehicles_behind_one_address_bring_everybody_back(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene()
-    monkeypatch.setattr(
-        Fleet, "twin_behind_one_address", lambda _self, vehicle, _now: "two of them" if vehicle == 2 else None
-    )
+    monkeypatch.setattr(Fleet, "twins_behind_one_address", lambda _self, _now: {2: "two of them"})
     (found,) = scene.run(1.0)
     assert found.abort == "vehicle 3: two of them; everybody comes back"
 

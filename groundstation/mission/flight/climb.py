@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import every
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, LANDED_TAKEOFF, Fleet
@@ -60,7 +61,7 @@ class Climb:
         stands = self._standing.at(now_ns)
         left = np.where(self._by_command, fleet.landed_state != LANDED_ON_GROUND, height_m >= _AHEAD * target_m)
         ahead = np.asarray(high | left, dtype=np.bool_)
-        for vehicle in np.flatnonzero(self._roster.climbing).tolist():
+        for vehicle in self._roster.climbing.nonzero()[0].tolist():
             if high[vehicle]:
                 self._high.note(vehicle, now_ns)
                 climbing = fleet.landed_state[vehicle] in (LANDED_TAKEOFF, LANDED_ON_GROUND)
@@ -70,7 +71,7 @@ class Climb:
                 stands[vehicle]
                 and not commands.pending(vehicle)
                 and self._asking.due(vehicle, now_ns)
-                and bool(ahead[self._pads_above[vehicle]].all())
+                and every(ahead[self._pads_above[vehicle]])
             ):
                 command = self._plan.autopilots[vehicle].takeoff(float(target_m[vehicle]))
                 if command is not None:

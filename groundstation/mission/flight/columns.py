@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.quick import norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.places import Taken, taken_at
 from groundstation.mission.plan.pads import pads_above
@@ -84,7 +85,7 @@ class Columns:
         self.pads_ned_m = frames.ned_from_enu(pads_enu_m)
         self.content: BoolArray = np.zeros(len(pads_enu_m), dtype=np.bool_)
         self._pads_above = pads_above(pads_enu_m, distances.beside_m)
-        self._pads_apart_m = np.linalg.norm(self.pads_ned_m[:, None, :2] - self.pads_ned_m[None, :, :2], axis=2)
+        self._pads_apart_m = norms(self.pads_ned_m[:, None, :2] - self.pads_ned_m[None, :, :2])
 
     def content_with_r(self, vehicle: int) -> None:
         """It has waited so long that it asks for r and nothing more."""
@@ -107,7 +108,7 @@ class Columns:
         need_m = self.need_m(vehicle, scene.pos_ned_m, place_m)
         if place_m is None:
             need_m = need_m + np.where(scene.lost & ~scene.down, self.distances.lost_m, 0.0)
-        who = np.flatnonzero(there)
+        who = there.nonzero()[0]
         return taken_at(who[who != vehicle], scene.pos_ned_m, need_m)
 
     def need_m(self, vehicle: int, at_m: FloatArray, place_m: FloatArray | None) -> FloatArray:
@@ -146,5 +147,5 @@ class Columns:
         return np.asarray(below, dtype=np.bool_)
 
     def _over_pad(self, at_m: FloatArray) -> BoolArray:
-        off_m = np.linalg.norm(at_m[:, :2] - self.pads_ned_m[:, :2], axis=1)
+        off_m = norms(at_m[:, :2] - self.pads_ned_m[:, :2])
         return np.asarray(off_m < _OVER * self.distances.radius_m)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.core.limits import Fence
-from groundstation.core.types import FloatArray
+from groundstation.core.quick import between, norms, some
+from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -36,24 +37,24 @@ class Fleeing:
 
         Whoever comes down or is an obstacle itself does not flee.
         """
-        if not poses.sinking.any():
+        if not some(poses.sinking):
             return None
-        above = np.flatnonzero(poses.sinking)
+        above = poses.sinking.nonzero()[0]
         offset_ned = poses.pos_team_ned_m[above][None] - poses.pos_team_ned_m[:, None]
-        beside_m = np.linalg.norm(offset_ned[..., :2], axis=2)
+        beside_m = norms(offset_ned[..., :2])
         under = (offset_ned[..., 2] < 0.0) & (beside_m < self._column_m)
         under &= ~(poses.sinking | (poses.extra_radius_m > 0.0))[:, None]
-        flees = under.any(axis=1)
-        if not flees.any():
+        flees: BoolArray = np.asarray(under.any(axis=1))
+        if not some(flees):
             return None
         depth = np.where(under, (self._column_m - beside_m) / np.maximum(beside_m, _LEVEL_MIN_M), 0.0)
         away_ned = -np.einsum("ij,ijk->ik", depth, np.where(under[..., None], offset_ned[..., :2], 0.0))
-        away_ned /= np.maximum(np.linalg.norm(away_ned, axis=1), 1e-12)[:, None]
+        away_ned /= np.maximum(norms(away_ned), 1e-12)[:, None]
         height_m = -(poses.pos_team_ned_m + self._stopping_s * poses.vel_ned_m_s)[:, 2]
         # Near the edge of the column what counts is to be out of it.
         deepest = 1.0 - np.where(under, beside_m, self._column_m).min(axis=1) / self._column_m
-        most_m_s = _DOWN_SHARE * self._speed_m_s * np.clip(2.0 * deepest, 0.0, 1.0)
-        down_m_s = np.clip((height_m - self._floor_enu_m) / self._stopping_s, 0.0, most_m_s)
+        most_m_s = _DOWN_SHARE * self._speed_m_s * between(2.0 * deepest, 0.0, 1.0)
+        down_m_s = between((height_m - self._floor_enu_m) / self._stopping_s, 0.0, most_m_s)
         beside_m_s = np.sqrt(self._speed_m_s**2 - down_m_s**2)
         wish_ned_m_s = np.column_stack([beside_m_s[:, None] * away_ned, down_m_s])
         return np.where(flees[:, None], wish_ned_m_s, np.nan)

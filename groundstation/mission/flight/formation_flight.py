@@ -17,6 +17,7 @@ from groundstation.core.formation import Formation
 from groundstation.core.gridlock import GridlockParams, Gridlocks, Sensed
 from groundstation.core.metrics import formation_error_m, free_scale_error_m, vertical_orientation
 from groundstation.core.places import own_places
+from groundstation.core.quick import some
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.flight.guidance import Course
@@ -163,8 +164,8 @@ class FormationFlight:
         roles = self.role_of_agent.copy()
         if self._plan.spec.on_lost == "continue_take_over":
             for free in sorted(roles[gone].tolist()):
-                last = max(np.flatnonzero(~gone).tolist(), key=lambda agent: int(roles[agent]))
-                holder = int(np.flatnonzero(roles == free)[0])
+                last = max((~gone).nonzero()[0].tolist(), key=lambda agent: int(roles[agent]))
+                holder = int((roles == free).nonzero()[0][0])
                 if gone[holder] and roles[last] > free:
                     roles[holder], roles[last] = roles[last], free
                     self._now.figures.locked_in(swaps=1)
@@ -188,7 +189,7 @@ class FormationFlight:
     def _fly_as(self, roles: IntArray) -> None:
         """Takes up roles, with the gains of those that are left where somebody is gone."""
         plan, stage, missing = self._plan, self._now.stage, ~self._roster.in_formation
-        if missing.any():
+        if some(missing):
             task, smaller, gains = task_for_those_left(stage.formation, stage.shape.gains, roles, missing)
             # Neighbours of a missing one have become neighbours of each other: the loop may be faster than before.
             rate_1_s = rate_for_auto_gain_1_s(smaller, gains, stage.scale, stage.upright_1_s)
@@ -311,7 +312,7 @@ class FormationFlight:
         locks, ids = self._gridlocks, [vehicle.id for vehicle in self._plan.spec.vehicles]
         locks.sense(sensed, absent)
         self._now.figures.locked_in(gridlocks=int(locks.begun.sum()))
-        if not locks.locked.any():
+        if not some(locks.locked):
             return
         if isinstance(way, Course):
             free = way.stage.scale.kind == "free"

@@ -23,6 +23,7 @@ from groundstation.core.limits import Fence, apply_limits, fence_bounds
 from groundstation.core.motion import Motion
 from groundstation.core.near import near_views
 from groundstation.core.places import Places, own_places
+from groundstation.core.quick import between, norms, some
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, local_views
@@ -244,7 +245,7 @@ class Guide:
 
     def _near_views(self, poses: Poses) -> tuple[LocalViews, IntArray]:
         """What each agent of a large team sees that is near enough to hit, a column for each, and who that is."""
-        special = np.flatnonzero(poses.sinking | (poses.extra_radius_m > 0.0))
+        special = (poses.sinking | (poses.extra_radius_m > 0.0)).nonzero()[0]
         others = None
         if special.size:
             columns = np.broadcast_to(special, (self._plan.size, special.size))
@@ -268,10 +269,10 @@ class Guide:
         offset_ned = poses.pos_team_ned_m[who] - poses.pos_team_ned_m[:, None]
         under = np.asarray(poses.sinking[who] & (offset_ned[..., 2] < 0.0), dtype=np.bool_)
         offset_ned[..., 2] = np.where(under, 0.0, offset_ned[..., 2])
-        if under.any():
+        if some(under):
             keep_out_m = self._damper.radius_m + self._damper.margin_m
-            beside_m = np.maximum(np.linalg.norm(offset_ned, axis=2), _LEVEL_MIN_M)
-            shown_m = np.clip(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
+            beside_m = np.maximum(norms(offset_ned), _LEVEL_MIN_M)
+            shown_m = between(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
             steered = poses.extra_radius_m[who] == 0.0
             offset_ned *= np.where(under & steered, shown_m / beside_m, 1.0)[..., None]
         return offset_ned, under
@@ -280,13 +281,13 @@ class Guide:
         self, poses: Poses, views: LocalViews, who: IntArray, offset_ned: FloatArray, under: BoolArray
     ) -> LocalViews:
         """Views with all extra radii, and with those that may come down where they are taken to be."""
-        if poses.vel_error_m_s.any():
+        if np.count_nonzero(poses.vel_error_m_s):
             views = replace(views, wider_m=self._wider_m(poses, who))
-        if poses.extra_radius_m.any():
+        if np.count_nonzero(poses.extra_radius_m):
             # From where it is itself, an obstacle has nobody to make room for.
             extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[who])
             views = replace(views, extra_m=extra_m)
-        if not under.any():
+        if not some(under):
             return views
         rot_ned_from_flu = poses.rot_ned_from_flu
         level_flu_m = frames.rotate_back(rot_ned_from_flu[:, None], offset_ned)
@@ -305,16 +306,16 @@ class Guide:
         return np.asarray(np.maximum(np.minimum(wanted_m, most_m) - self._margin_m, 0.0))
 
     def _widest_m(self, poses: Poses) -> float:
-        if not poses.vel_error_m_s.any():
+        if not np.count_nonzero(poses.vel_error_m_s):
             return 0.0
         everybody = np.broadcast_to(np.arange(self._plan.size), (self._plan.size, self._plan.size))
         return float(self._wider_m(poses, everybody).max())
 
     def _reach_of(self, poses: Poses) -> FloatArray | float:
         """How far each vehicle has to be seen by the others: farther where it is an obstacle, or a fast one."""
-        if not poses.extra_radius_m.any():
+        if not np.count_nonzero(poses.extra_radius_m):
             return self._reach_m + self._widest_m(poses)
-        speed_m_s = np.nan_to_num(np.linalg.norm(poses.vel_ned_m_s, axis=1))
+        speed_m_s = np.nan_to_num(norms(poses.vel_ned_m_s))
         faster_m_s = np.maximum(speed_m_s - self._plan.spec.speed_limit_m_s, 0.0)
         farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
         return self._reach_m + self._widest_m(poses) + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
@@ -365,8 +366,8 @@ class Guide:
             room = _room(frames.ned_from_enu(common_enu_m_s), low_m_s, high_m_s)
             common_flu = _flu_from_enu(poses, room * common_enu_m_s)
             # Directions count from the common motion, which changes no distance; both together keep the speed limit.
-            left = np.maximum(speed_max - np.linalg.norm(common_flu, axis=1), 0.1 * speed_max)
-            size = np.linalg.norm(wish_flu_m_s, axis=1)
+            left = np.maximum(speed_max - norms(common_flu), 0.1 * speed_max)
+            size = norms(wish_flu_m_s)
             wish_flu_m_s = wish_flu_m_s * np.minimum(1.0, left / np.maximum(size, 1e-12))[:, None]
             avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core.motion import Motion
+from groundstation.core.quick import length, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 
 SPEED_SHARE = 0.2
@@ -46,7 +47,7 @@ class PlaceKeeper:
             floor_m: least height of the middle that the formation is to have.
         """
         self.let_turn()
-        if self.place_enu_m is None and counts.any():
+        if self.place_enu_m is None and some(counts):
             self.place_enu_m, self._counted = pos_enu_m[counts].mean(axis=0), counts.copy()
             self._middle_enu_m = self.place_enu_m.copy()
         if self.place_enu_m is not None:
@@ -75,7 +76,7 @@ class PlaceKeeper:
             counts: who flies the formation, follows, and where is known, shape (n,).
             points_m: the formation's point of each vehicle, ENU, shape (n, 3).
         """
-        if self.rate_1_s == 0.0 or self.place_enu_m is None or not counts.any():
+        if self.rate_1_s == 0.0 or self.place_enu_m is None or not some(counts):
             return None
         middle = pos_enu_m[counts].mean(axis=0)
         if not np.array_equal(counts, self._counted):
@@ -85,10 +86,10 @@ class PlaceKeeper:
         self._middle_enu_m = middle
         most_m_s = SPEED_SHARE * self.speed_limit_m_s
         vel_m_s = self.rate_1_s * (self.place_enu_m - middle)
-        vel_m_s = vel_m_s * min(1.0, most_m_s / max(float(np.linalg.norm(vel_m_s)), 1e-12))
+        vel_m_s = vel_m_s * min(1.0, most_m_s / max(length(vel_m_s), 1e-12))
         turn_rad_s = 0.0
         if self.heading_rad is not None:
-            level = np.linalg.norm(points_m[:, :2] - points_m[:, :2].mean(axis=0), axis=1)
+            level = norms(points_m[:, :2] - points_m[:, :2].mean(axis=0))
             off = np.angle(np.exp(1j * (self.heading_rad - heading_of(pos_enu_m[counts], points_m[counts]))))
             most_rad_s = 0.5 * most_m_s / max(float(level.max()), 1e-6)
             turn_rad_s = float(np.clip(self.rate_1_s * off, -most_rad_s, most_rad_s))

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import Fleet
@@ -41,7 +39,7 @@ class Killing:
 
     def step(self, now_ns: int) -> None:
         """Asks again, without end, as long as the vehicle has not shown that it is disarmed."""
-        for vehicle in np.flatnonzero(self.not_shown() & self._asking.all_due(now_ns)).tolist():
+        for vehicle in (self.not_shown() & self._asking.all_due(now_ns)).nonzero()[0].tolist():
             self._commands.request(vehicle, self._plan.autopilots[vehicle].kill())
             self._asking.asked(vehicle, now_ns)
 

@@ -144,7 +144,7 @@ class Landing:
         on_ground = self._standing.at(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         ready = self.spots.step(now_ns, self._scene(around, on_ground))
-        for vehicle in np.flatnonzero(roster.lands & fleet.armed).tolist():
+        for vehicle in (roster.lands & fleet.armed).nonzero()[0].tolist():
             if self._commands.pending(vehicle) or not self._asking.due(vehicle, now_ns):
                 continue
             autopilot = self._plan.autopilots[vehicle]
@@ -198,7 +198,7 @@ class Landing:
         ``still_up`` has nobody left. Who does not tell that it stands is not asked: nothing has told it to take off,
         and it disarms by itself. Who was killed is asked for that alone.
         """
-        for vehicle in np.flatnonzero(self._standing.at(now_ns) & self._roster.ours).tolist():
+        for vehicle in (self._standing.at(now_ns) & self._roster.ours).nonzero()[0].tolist():
             if self._asking.due(vehicle, now_ns) and not self._commands.pending(vehicle):
                 self._commands.request(vehicle, self._plan.autopilots[vehicle].disarm())
                 self._asking.asked(vehicle, now_ns)

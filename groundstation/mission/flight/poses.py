@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.quick import every
 from groundstation.core.types import BoolArray, FloatArray
 
 _OUT_OF_SIGHT_M = 1e5
@@ -57,7 +58,7 @@ def out_of_sight(poses: Poses) -> Poses:
     """Puts whoever was never seen far away from everybody, so that unknown does not spread."""
     parts = (poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd)
     known = np.asarray(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
-    if known.all():
+    if every(known):
         return poses
     far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([1.0, 0.0, 1.0])  # under nobody
     return replace(

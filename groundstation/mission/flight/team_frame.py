@@ -14,6 +14,7 @@ import numpy as np
 import pymap3d
 
 from groundstation.core import frames
+from groundstation.core.quick import between, every, norms, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.placement import Placement
@@ -77,7 +78,7 @@ class TeamFrame:
         for vehicle, autopilot in enumerate(self._plan.autopilots):
             if not autopilot.tells_home_locally:
                 on_earth = (*fleet.home_deg_m[vehicle], *fleet.origin_deg_m[vehicle])
-                local[vehicle] = pymap3d.geodetic2ned(*on_earth) if np.isfinite(on_earth).all() else np.nan
+                local[vehicle] = pymap3d.geodetic2ned(*on_earth) if every(np.isfinite(on_earth)) else np.nan
         return np.where(
             self.placement.on_earth[:, None],
             self.placement.from_anchor(fleet.home_deg_m),
@@ -88,7 +89,7 @@ class TeamFrame:
         """How far from their pads the vehicles took off, shape (n,); NaN where they do not tell. See ``off_pad_m``."""
         gap = self._homes_team_ned_m(fleet) - self.placement.pads_ned_m
         gap[self.placement.gps, 2] /= 3.0
-        return np.asarray(np.linalg.norm(gap, axis=1))
+        return np.asarray(norms(gap))
 
     def settle_in_flight(self, fleet: Fleet) -> None:
         """The same as ``settle`` for vehicles that are in the air."""
@@ -104,7 +105,9 @@ class TeamFrame:
         lines = []
         for vehicle, spec in enumerate(self._plan.spec.vehicles):
             origin = frames.enu_from_ned(self.placement.origin_team_ned_m[vehicle] + self._shift_ned_m[vehicle])
-            if np.isfinite(origin).all() and (self.placement.by_origin[vehicle] or self._shift_ned_m[vehicle].any()):
+            if every(np.isfinite(origin)) and (
+                self.placement.by_origin[vehicle] or np.count_nonzero(self._shift_ned_m[vehicle])
+            ):
                 place = " ".join(f"{value:.3f}" for value in origin)
                 lines.append(f"vehicle {spec.id}: its local frame begins at {place} m in the team frame (ENU)")
         return lines
@@ -129,7 +132,7 @@ class TeamFrame:
         """
         gap = pos_team_ned_m - self.placement.pads_ned_m
         gap[self.placement.gps, 2] /= 3.0
-        return np.asarray(np.linalg.norm(gap, axis=1))
+        return np.asarray(norms(gap))
 
     def off_pad_on_earth_m(self, fleet: Fleet, now_ns: int, old_ns: int) -> FloatArray:
         """How far from their pads, horizontally, the vehicles are by their global positions alone, shape (n,).
@@ -139,9 +142,7 @@ class TeamFrame:
         told = self.placement.gps & (now_ns - fleet.place_ns <= old_ns)
         gap = self.placement.from_anchor(np.where(told[:, None], fleet.place_deg_m, np.nan)) - self.placement.pads_ned_m
         # Chords of the earth: what is far away is below the horizon, too.
-        return np.asarray(
-            np.where(np.abs(gap[:, 2]) > 10_000.0, np.linalg.norm(gap, axis=1), np.hypot(gap[:, 0], gap[:, 1]))
-        )
+        return np.asarray(np.where(np.abs(gap[:, 2]) > 10_000.0, norms(gap), np.hypot(gap[:, 0], gap[:, 1])))
 
     def drift_m(self, fleet: Fleet, now_ns: int) -> FloatArray:
         """How far the local and the global position of a vehicle disagree, shape (n,); NaN where not known.
@@ -159,22 +160,22 @@ class TeamFrame:
         news = self.placement.by_origin & (fleet.place_ns - self._compared_ns[:, 0] >= _COMPARE_AGAIN_NS)
         gap_ns = fleet.place_ns - fleet.pose_ns
         news &= np.abs(gap_ns) <= _TOGETHER_NS
-        if self.placement.anchor_deg_m is None or not news.any():
+        if self.placement.anchor_deg_m is None or not some(news):
             return
-        rows = np.flatnonzero(news)
+        rows = news.nonzero()[0]
         local = self.placement.origin_team_ned_m[rows] + fleet.pos_local_ned_m[rows]
         local += fleet.vel_ned_m_s[rows] * (gap_ns[rows] / SECOND_NS)[:, None]
-        apart = np.linalg.norm(local - self.placement.from_anchor(fleet.place_deg_m[rows]), axis=1)
+        apart = norms(local - self.placement.from_anchor(fleet.place_deg_m[rows]))
         self._apart_m[rows] = np.stack([apart, self._apart_m[rows, 0]], axis=1)
         self._compared_ns[rows] = np.stack([fleet.place_ns[rows], self._compared_ns[rows, 0]], axis=1)
 
     def _reported(self, fleet: Fleet, now_ns: int) -> FloatArray:
         """Positions as reported, brought to an instant, shape (n, 3)."""
         limit_s = self._plan.spec.limits.pose_age_s
-        age_s = np.clip((now_ns - fleet.pose_ns) / SECOND_NS, 0.0, limit_s)[:, None]
+        age_s = between((now_ns - fleet.pose_ns) / SECOND_NS, 0.0, limit_s)[:, None]
         position = self.placement.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s
-        if self.placement.on_earth.any():
-            rows = np.flatnonzero(self.placement.on_earth)
-            age_s = np.clip((now_ns - fleet.place_ns[rows]) / SECOND_NS, 0.0, limit_s)[:, None]
+        if some(self.placement.on_earth):
+            rows = self.placement.on_earth.nonzero()[0]
+            age_s = between((now_ns - fleet.place_ns[rows]) / SECOND_NS, 0.0, limit_s)[:, None]
             position[rows] = self.placement.from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
         return np.asarray(position)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.flight.poses import Poses
@@ -128,7 +129,7 @@ class Board:
             ours[findings.release] = False  # whoever is released in this tick is judged no more by the next monitor
         lands[findings.land] = True
         # Words come last: whether others are left to come back is known when everything is found.
-        others = bool((ours & ~(lands | self.blind | sight.excused)).any())
+        others = some(ours & ~(lands | self.blind | sight.excused))
         for finding, reaction in found:
             self._tell(finding, reaction, findings, sight, others=others)
         return findings

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.quick import between, norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.speeds import PoorSpeeds
@@ -45,10 +46,10 @@ class Descents:
         first = lands & np.isnan(self._from_ned_m[:, 0])
         self._from_ned_m[first] = sight.pos_team_ned_m[first]
         quat = fleet.quat_ned_from_frd
-        tilt_deg = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (quat[:, 1] ** 2 + quat[:, 2] ** 2), -1.0, 1.0)))
+        tilt_deg = np.degrees(np.arccos(between(1.0 - 2.0 * (quat[:, 1] ** 2 + quat[:, 2] ** 2), -1.0, 1.0)))
         sinks_m_s = sight.vel_ned_m_s[:, 2]
         height_m = self._ground_ned_m - sight.pos_team_ned_m[:, 2]
-        off_m = np.linalg.norm((sight.pos_team_ned_m - self._from_ned_m)[:, :2], axis=1)
+        off_m = norms((sight.pos_team_ned_m - self._from_ned_m)[:, :2])
         ended = lands & ~sight.airborne
         cut = lands & self._was_armed & ~fleet.armed & (height_m > self._above_m)
         self._was_armed = fleet.armed.copy()

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.timing import SECOND_NS, HeldEach
@@ -203,12 +204,12 @@ class Lasting:
 
     def __call__(self, condition: BoolArray, now_ns: int) -> list[int]:
         """Takes the condition of this tick, shape (n,); returns the rows that are to be told now."""
-        if not (condition.any() or self._any_since):
+        if not (some(condition) or self._any_since):
             return []
         held = self._held(condition, now_ns, self._for_ns)
-        self._any_since = bool(condition.any())
+        self._any_since = some(condition)
         if self._again:
             self._told &= condition
         news = held & ~self._told
         self._told |= news
-        return [int(row) for row in np.flatnonzero(news)]
+        return [int(row) for row in news.nonzero()[0]]

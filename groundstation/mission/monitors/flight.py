@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core.limits import Fence
+from groundstation.core.quick import between, length, norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
@@ -73,7 +74,7 @@ class Following:
         self._error = np.where(new | ~np.isfinite(error), 0.0, error)
         carried = self._carried + passed_s / _SMOOTH_S * (self._wind.carried_m_s - self._carried)
         self._carried = np.where(new, 0.0, carried)
-        off_m_s = np.linalg.norm(_without(self._error, self._carried), axis=1)
+        off_m_s = norms(_without(self._error, self._carried))
         away = off_m_s > self._limit_m_s
         for vehicle in self._first(away, sight.now_ns):
             self.strays[vehicle] = True
@@ -87,7 +88,7 @@ class Following:
 def _without(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
     """What is left of errors when the wind explains what it can of them, and nothing besides, shape (n, 3)."""
     along = (error_m_s * carried_m_s).sum(axis=1) / np.maximum((carried_m_s**2).sum(axis=1), 1e-12)
-    return np.asarray(error_m_s - np.clip(along, 0.0, 1.0)[:, None] * carried_m_s)
+    return np.asarray(error_m_s - between(along, 0.0, 1.0)[:, None] * carried_m_s)
 
 
 class Distance:
@@ -113,7 +114,7 @@ class Distance:
         near = (apart < 1.0) & known[self._first] & known[self._second] & (flies[self._first] | flies[self._second])
         for pair in self._lasting(near, sight.now_ns):
             both = (int(self._first[pair]), int(self._second[pair]))
-            apart_m = float(np.linalg.norm(offsets[pair]))
+            apart_m = length(offsets[pair])
             words = self._region.near_words(apart_m, float(apart[pair]))
             for other in (row for row in both if not ours[row]):  # one of them at least is ours: it flies
                 words = f"too near to vehicle {sight.fleet.sysid[other]}, {words}"

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from groundstation.core.quick import between, every, norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
@@ -79,9 +80,9 @@ class PoseJump:
         # Over a gap in the reports the velocity may have changed unseen.
         gap_s = np.where(new, 0.0, (pose_ns - self._pose_ns) / SECOND_NS)
         gap_s = np.where(gap_s > _GAP_S, np.minimum(gap_s, _GAP_MAX_S), 0.0)
-        away_m = np.linalg.norm(apart_m, axis=1)
+        away_m = norms(apart_m)
         away = ~(away_m <= self._allowed_m + 0.5 * self._accel_m_s2 * gap_s**2)
-        kick_m_s = np.linalg.norm(poses.vel_ned_m_s - self._vel, axis=1)
+        kick_m_s = norms(poses.vel_ned_m_s - self._vel)
         passed_s = passed_s[:, 0]
         away |= ~(kick_m_s * passed_s <= 0.5 * self._limit_m + _KICK * self._accel_m_s2 * passed_s**2)
         # Of one that says nothing, nothing new contradicts its velocity: that it is silent is said elsewhere.
@@ -94,7 +95,7 @@ class PoseJump:
         self._pos[believed], self._vel[believed] = poses.pos_team_ned_m[believed], poses.vel_ned_m_s[believed]
         self._at_ns[believed] = now_ns
         self._away_m, self._kick_m_s = away_m, kick_m_s
-        if believed.all():
+        if every(believed):
             return poses
         # It was told to stand still, and carries on for a moment.
         carried = self._pos + self._vel * np.minimum(passed_s, _REACH_S)[:, None]
@@ -107,7 +108,7 @@ class PoseJump:
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of those whose reports have not come back."""
-        for vehicle in np.flatnonzero(self._lasts & ~self._told & ours & ~sight.excused).tolist():
+        for vehicle in (self._lasts & ~self._told & ours & ~sight.excused).nonzero()[0].tolist():
             self._told[vehicle] = True
             away_m = self._away_m[vehicle]
             allowed_m = self._allowed_m[vehicle]
@@ -132,9 +133,9 @@ class LinkSilence:
         down = np.zeros(len(self._links), dtype=np.bool_)
         for link in range(len(self._links)):
             here = (self._link_of_vehicle == link) & ours
-            down[link] = here.sum() > 1 and bool(silent[here].all())
+            down[link] = here.sum() > 1 and every(silent[here])
         for link in self._lasting(down, sight.now_ns):
-            rows = tuple(np.flatnonzero((self._link_of_vehicle == link) & ours & ~sight.excused).tolist())
+            rows = tuple(((self._link_of_vehicle == link) & ours & ~sight.excused).nonzero()[0].tolist())
             what = f"link {self._links[link]}: nothing heard of anybody for {self._limit_s:g} s"
             yield Finding(Reaction.LAND, what, rows, lost=True)
 
@@ -224,10 +225,11 @@ class Frames:
             else:
                 what = f"its local and global positions are {sight.drift_m[vehicle]:.2f} m apart, limit {limit_m:.2g} m"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
-        twins = {row: fleet.twin_behind_one_address(row, sight.now_ns) for row in np.flatnonzero(ours).tolist()}
-        found = np.array([twins.get(row) is not None for row in range(len(fleet))])
+        twins = fleet.twins_behind_one_address(sight.now_ns)
+        found: BoolArray = np.zeros(len(fleet), dtype=np.bool_)
+        found[[row for row in twins if ours[row]]] = True
         for vehicle in self._twins(found, sight.now_ns):
-            yield Finding(Reaction.ALL_HOME, str(twins[vehicle]), (vehicle,))
+            yield Finding(Reaction.ALL_HOME, twins[vehicle], (vehicle,))
 
 
 class Tilt:
@@ -240,7 +242,7 @@ class Tilt:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Lands those that are tilted for longer than a gust tilts."""
         quat = sight.fleet.quat_ned_from_frd
-        cosine = np.clip(1.0 - 2.0 * (quat[:, 1] ** 2 + quat[:, 2] ** 2), -1.0, 1.0)
+        cosine = between(1.0 - 2.0 * (quat[:, 1] ** 2 + quat[:, 2] ** 2), -1.0, 1.0)
         tilt_deg = np.degrees(np.arccos(cosine))
         tilted = (tilt_deg > self._limit_deg) & sight.airborne & ours & ~sight.excused & ~sight.blind
         for vehicle in self._lasting(tilted, sight.now_ns):

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.vehicle import LANDED_LANDING
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
@@ -33,7 +34,7 @@ class Sinking:
         """Tells who comes down by itself, and who is below; where the first is not ours, those below are told of it."""
         fleet, n = sight.fleet, len(sight.fleet)
         self._by_itself = (self._by_itself | (self._modes.foreign & ~sight.excused)) & fleet.armed
-        if not self._by_itself.any():
+        if not some(self._by_itself):
             return
         stands = ~sight.airborne
         sinks = (sight.vel_ned_m_s[:, 2] > _SINKS_M_S) | (fleet.landed_state == LANDED_LANDING)

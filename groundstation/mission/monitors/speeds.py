@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from groundstation.core.quick import norms
 from groundstation.core.speeds import DISAGREES_M_S, Speeds
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
@@ -76,7 +77,7 @@ class PoorSpeeds:
             poses: as they are trusted.
             suspect: whose velocity is not the reported one, shape (n,); it stays.
         """
-        if not self._speeds.share.any():
+        if not np.count_nonzero(self._speeds.share):
             return poses
         return replace(
             poses,
@@ -87,10 +88,10 @@ class PoorSpeeds:
     def told(self, velocity_ned_m_s: FloatArray) -> FloatArray:
         """What vehicles are told so that they move as wanted, shape (n, 3), within the speed limit."""
         share = self._speeds.share
-        if not share.any():
+        if not np.count_nonzero(share):
             return velocity_ned_m_s
         told = velocity_ned_m_s + self._speeds.known_error_ned_m_s
-        most = np.maximum(self._fastest_m_s, 1e-12) / np.maximum(np.linalg.norm(told, axis=1), 1e-12)
+        most = np.maximum(self._fastest_m_s, 1e-12) / np.maximum(norms(told), 1e-12)
         return np.asarray(np.where((share > 0.0)[:, None], told * np.minimum(1.0, most)[:, None], velocity_ned_m_s))
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:

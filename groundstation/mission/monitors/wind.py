@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.quick import length, norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
@@ -56,7 +57,7 @@ class Wind:
     def carried_m_s(self) -> FloatArray:
         """Velocity that a healthy vehicle may be carried with at the moment, against its will, shape (n, 3)."""
         expected = self.estimate.expected_m_s
-        size = np.linalg.norm(expected, axis=1, keepdims=True)
+        size = norms(expected)[..., None]
         return np.asarray(expected * np.minimum(1.0, self._excuse_max_m_s / np.maximum(size, 1e-9)))
 
     @property
@@ -71,13 +72,13 @@ class Wind:
         gust_m_s = min(self._gust_m_s, self._limit.gust_m_s)
         if self._gust_m_s < _CALM_M_S:
             return 0.0
-        mean_m_s = min(float(np.linalg.norm(self.estimate.mean_ned_m_s)), self._limit.mean_m_s)
+        mean_m_s = min(length(self.estimate.mean_ned_m_s), self._limit.mean_m_s)
         return self._sway_s2 * self._frame.slope_1_s(mean_m_s) * gust_m_s
 
     def enter(self, figures: Figures) -> None:
         """Enters the strongest wind that was seen."""
         if self.estimate.known:
-            mean_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s))
+            mean_m_s = length(self.estimate.mean_ned_m_s)
             figures.felt(mean_m_s, self._gust_m_s)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
@@ -93,7 +94,7 @@ class Wind:
         # A vehicle whose velocity is wrong leans to what it takes for its velocity, and that is no wind.
         moves_m_s, told_m_s = (vel - sight.vel_error_ned_m_s for vel in (sight.vel_ned_m_s, sight.sent_ned_m_s))
         self.estimate.step(passed_s, moves_m_s, down_ned, told_m_s, counts)
-        mean_m_s, gust_m_s = float(np.linalg.norm(self.estimate.mean_ned_m_s)), self._gust_m_s
+        mean_m_s, gust_m_s = length(self.estimate.mean_ned_m_s), self._gust_m_s
         limit = self._limit
         near = (
             mean_m_s > _SAY_SHARE * limit.mean_m_s + self._unsure_m_s
