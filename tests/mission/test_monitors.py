@@ -760,10 +760,7 @@ def test_those_below_one_that_is_not_ours_are_told_that_it_comes_down(below: str
 
 
 def test_two_senders_in_the_name_of_one_that_is_not_ours_bring_nobody_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    def twin(_fleet: Fleet, row: int, _now_ns: int) -> str | None:
-        return "two senders" if row == 4 else None
-
-    monkeypatch.setattr(Fleet, "twin_behind_one_address", twin)
+    monkeypatch.setattr(Fleet, "twins_behind_one_address", lambda _self, _now: {4: "two senders"})
     for ours in (True, False):
         scene = Scene()
         if not ours:
