@@ -7,8 +7,6 @@ After Fathian, Safaoui, Summers and Gans, "Robust 3D Distributed Formation Contr
 
 TYPE_CHECKING = False  # typing takes 10 ms to load, in which Ctrl-C is nobody's yet
 if TYPE_CHECKING:
-    from typing import Any
-
     from groundstation.api import (
         Comparison, DesignResult, Flown, Formation, Gains, Log, Mission, Seen, Tick, UserError, VerifyResult,
         compare, design, fly,
@@ -22,7 +20,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> "Any":
+def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

@@ -5,7 +5,8 @@ Fence and rally points are kept and told again, as firmware does; nobody flies b
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Protocol
 
 from groundstation.mavlink.codec import Frame
 from sitl.mavlink_ids import MSG_MISSION_ITEM, MSG_MISSION_REQUEST
@@ -31,6 +32,29 @@ class Timed(Protocol):
         """The world's clock."""
 
 
+@dataclass
+class _Upload:
+    """A mission, fence or rally points on their way here.
+
+    Attributes:
+        count: how many items it will have.
+        kind: mission type.
+        sender: the last frame of who sends it.
+        asked_ns: when the next item was last asked for.
+        items: those that have come.
+        tries: how often the same one was asked for again.
+        stuck_at: how many had come when that began, None before it.
+    """
+
+    count: int
+    kind: int
+    sender: Frame
+    asked_ns: int
+    items: list[Fields] = field(default_factory=list)
+    tries: int = 0
+    stuck_at: int | None = None
+
+
 class MissionStore:
     """One vehicle's.
 
@@ -45,7 +69,7 @@ class MissionStore:
         self.items: list[Fields] = []
         self.seq = 0
         self.beside: dict[int, list[Fields]] = {_FENCE: [], _RALLY: []}
-        self._upload: dict[str, Any] | None = None
+        self._upload: _Upload | None = None
 
     def __len__(self) -> int:
         return len(self.items)
@@ -111,28 +135,28 @@ class MissionStore:
             self._store(kind, [])
             self._ack(MISSION_ACCEPTED, kind, frame)
             return
-        self._upload = {"count": fields["count"], "items": [], "kind": kind}
+        self._upload = _Upload(fields["count"], kind, frame, self._body.now_ns)
         self._ask_item(frame)
 
     def _ask_item(self, frame: Frame) -> None:
         upload = self._upload
         if upload is not None:
-            upload["asked_ns"], upload["from"] = self._body.now_ns, frame
+            upload.asked_ns, upload.sender = self._body.now_ns, frame
             self._voice.send(
                 "MISSION_REQUEST_INT",
                 target_system=frame.sysid,
                 target_component=frame.compid,
-                seq=len(upload["items"]),
-                mission_type=upload["kind"],
+                seq=len(upload.items),
+                mission_type=upload.kind,
             )
 
     def on_item(self, fields: Fields, frame: Frame) -> None:
         """Takes an item of it."""
         upload = self._upload
         kind = fields.get("mission_type", 0)
-        if upload is None or kind != upload["kind"]:
+        if upload is None or kind != upload.kind:
             return
-        if fields["seq"] == len(upload["items"]):
+        if fields["seq"] == len(upload.items):
             item = dict(fields)
             if frame.msgid == MSG_MISSION_ITEM:
                 scale = 1e7 if item["frame"] not in (1, 2) else 1e4
@@ -148,13 +172,13 @@ class MissionStore:
                 self._upload = None
                 self._ack(refusal_of_item, kind, frame)
                 return
-            upload["items"].append(item)
-        if len(upload["items"]) == upload["count"]:
+            upload.items.append(item)
+        if len(upload.items) == upload.count:
             self._upload = None
-            if kind == _FENCE and not _closed(upload["items"]):
+            if kind == _FENCE and not _closed(upload.items):
                 self._ack(MISSION_ERROR, kind, frame)
                 return
-            self._store(kind, upload["items"])
+            self._store(kind, upload.items)
             self._ack(MISSION_ACCEPTED, kind, frame)
         else:
             self._ask_item(frame)
@@ -162,14 +186,14 @@ class MissionStore:
     def ask_again(self) -> None:
         """Repeats the request for a mission item that has not come; gives an upload up after a while."""
         upload = self._upload
-        if upload is None or self._body.now_ns - upload["asked_ns"] < _ITEM_PATIENCE_NS:
+        if upload is None or self._body.now_ns - upload.asked_ns < _ITEM_PATIENCE_NS:
             return
-        upload["tries"] = 0 if len(upload["items"]) != upload.get("stuck_at") else upload["tries"] + 1
-        upload["stuck_at"] = len(upload["items"])
-        if upload["tries"] >= _ITEM_TRIES:
+        upload.tries = 0 if len(upload.items) != upload.stuck_at else upload.tries + 1
+        upload.stuck_at = len(upload.items)
+        if upload.tries >= _ITEM_TRIES:
             self._upload = None
             return
-        self._ask_item(upload["from"])
+        self._ask_item(upload.sender)
 
     def on_clear(self, fields: Fields, frame: Frame) -> None:
         """Forgets the mission."""

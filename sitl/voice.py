@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from groundstation.mavlink.codec import Encoder, Frame, message_id
 from sitl.config import VehicleConfig
@@ -31,7 +30,7 @@ class Voice:
         self.encoder = Encoder(config.sysid, self.compid, version=2 if config.mavlink_version == 2 else 1)
         self._text_id = 0
 
-    def send(self, name: str, **fields: Any) -> None:
+    def send(self, name: str, **fields: object) -> None:
         """Sends one message; what MAVLink 1 cannot carry is left out there, as the firmwares do."""
         if self.encoder.version == 2 or message_id(name) <= V1_LAST_ID:
             self._emit(self.encoder.encode(name, **fields))

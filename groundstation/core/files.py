@@ -12,6 +12,7 @@ from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from groundstation.core.errors import UserError
 
@@ -189,14 +190,14 @@ def _keys_beside(model: type[BaseModel], place: Sequence[str | int]) -> set[str]
     return {name for item in models for name in item.model_fields}
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def _models_in(annotation: object) -> list[type[BaseModel]]:
     """Models that an annotation names, in unions and lists too."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [found for part in get_args(annotation) for found in _models_in(part)]
 
 
-def _describe(model: type[BaseModel], source: str, item: Any) -> str:
+def _describe(model: type[BaseModel], source: str, item: ErrorDetails) -> str:
     key = ""
     for part in item["loc"]:
         if isinstance(part, int):
@@ -222,7 +223,7 @@ def _unknown(name: str, known: set[str]) -> str:
     return f"unknown key, did you mean {near[0]}?" if near else "unknown key, remove it or correct its spelling"
 
 
-def _words(item: Any) -> str:
+def _words(item: ErrorDetails) -> str:
     """What is wrong, where pydantic's own words speak of the program's types instead of the file."""
     context = item.get("ctx") or {}
     if item["type"] == "too_short":
@@ -235,5 +236,5 @@ def _words(item: Any) -> str:
         return "expected keys and values"
     if item["type"] == "literal_error":
         return f"expected {context['expected']}"
-    message: str = item["msg"].removeprefix("Value error, ")
+    message = item["msg"].removeprefix("Value error, ")
     return message[:1].lower() + message[1:]

@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,9 +22,10 @@ from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, ComplexArray, FloatArray
 from groundstation.core.views import LocalViews
 
-Answer = Callable[..., Any]
+Answer = Callable[..., object]
 """A law or avoidance as its author wrote it: anything that can be called."""
 
+_Array = TypeVar("_Array", BoolArray, FloatArray)
 _LONG = 200  # characters of somebody else's message
 
 
@@ -213,18 +214,18 @@ class OwnAvoidance:
         return Avoided(vel, blocked, angle_rad, theirs.in_the_way)
 
 
-def _sealed(array: Any) -> Any:
+def _sealed(array: _Array) -> _Array:
     """A copy that cannot be written to."""
     copy = array.copy()
     copy.flags.writeable = False
     return copy
 
 
-def _answered(name: str, answer: Answer, ids: Sequence[int], given: tuple[Any, ...]) -> FloatArray:
+def _answered(name: str, answer: Answer, ids: Sequence[int], given: tuple[object, ...]) -> FloatArray:
     """Calls somebody else's code and looks at what it gives back; shape (n, 3), finite, a copy of our own."""
     try:
         with np.errstate():  # what it sets of numpy's errors is its own affair
-            raw = answer(*given)
+            raw = np.asarray(answer(*given))
             if np.iscomplexobj(raw):
                 raise TypeError("velocities are complex numbers")
             vel_flu_m_s = np.array(raw, dtype=np.float64)

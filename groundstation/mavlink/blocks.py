@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,26 +233,20 @@ def merge(blocks: Sequence[Block]) -> Block:
         names = np.array([number.setdefault(name, len(number)) for name in item.sources], dtype=np.int64)
         parts.append(item._replace(offsets=item.offsets[:-1] + before, source=names[item.source]))
 
-    def joined(name: str, before: Sequence[int] | None = None) -> Any:
-        add = [0] * len(blocks) if before is None else before
-        return np.concatenate(
-            [getattr(block, name) + add[k] if add[k] else getattr(block, name) for k, block in enumerate(blocks)]
-        )
-
     return Block(
         b"".join([*(block.data[: block.size] for block in blocks), bytes(_BEHIND)]),
         sizes[-1],
-        joined("start", sizes),
-        joined("stop", sizes),
-        joined("payload", sizes),
-        joined("payload_size"),
-        joined("msgid"),
-        joined("known"),
-        joined("seq"),
-        joined("sysid"),
-        joined("compid"),
-        joined("signed"),
-        joined("datagram", counts),
+        _behind([block.start for block in blocks], sizes),
+        _behind([block.stop for block in blocks], sizes),
+        _behind([block.payload for block in blocks], sizes),
+        np.concatenate([block.payload_size for block in blocks]),
+        np.concatenate([block.msgid for block in blocks]),
+        np.concatenate([block.known for block in blocks]),
+        np.concatenate([block.seq for block in blocks]),
+        np.concatenate([block.sysid for block in blocks]),
+        np.concatenate([block.compid for block in blocks]),
+        np.concatenate([block.signed for block in blocks]),
+        _behind([block.datagram for block in blocks], counts),
         Datagrams(
             np.append(np.concatenate([part.offsets for part in parts]), sizes[-1]),
             np.concatenate([part.link for part in parts]),
@@ -261,6 +255,11 @@ def merge(blocks: Sequence[Block]) -> Block:
             tuple(number),
         ),
     )
+
+
+def _behind(columns: Sequence[IntArray], before: Sequence[int]) -> IntArray:
+    """Places of several buffers in one that has them one behind the other."""
+    return np.concatenate([column + add for column, add in zip(columns, before, strict=False)])
 
 
 def split(data: bytes, datagrams: Datagrams) -> Block:
@@ -342,7 +341,7 @@ def _one_behind_the_other(begins: list[int], ends: list[int]) -> list[int]:
 
 
 @cache
-def _extras() -> NDArray[Any]:
+def _extras() -> NDArray[np.int16]:
     """The byte behind the payload by message id, -1 for ids that the dialect does not know."""
     table = np.full(_ID_MAX + 1, -1, dtype=np.int16)
     for msgid, shape in layouts_by_id().items():

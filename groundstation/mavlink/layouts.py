@@ -51,6 +51,16 @@ class Layout:
         """Payload size in bytes with nothing cut off."""
         return self.packer.size
 
+    def place_of(self, field: str) -> int:
+        """Bytes of the payload in front of a field.
+
+        Raises:
+            KeyError: there is no field of that name.
+        """
+        if self.dtype.fields is None:
+            raise KeyError(field)
+        return self.dtype.fields[field][1]
+
 
 @cache
 def layout(name: str) -> Layout:

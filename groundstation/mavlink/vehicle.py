@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,7 @@ ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 _VOLTAGE_UNKNOWN = 65_535
 _HEARTBEAT = message_id("HEARTBEAT")
-_FIELDS: Any = layout("HEARTBEAT").dtype.fields
-_TYPE_AT, _AUTOPILOT_AT = int(_FIELDS["type"][1]), int(_FIELDS["autopilot"][1])
+_TYPE_AT, _AUTOPILOT_AT = (layout("HEARTBEAT").place_of(name) for name in ("type", "autopilot"))
 _KIND_BYTES = max(_TYPE_AT, _AUTOPILOT_AT) + 1
 _PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from another address
 _RIVAL_NS = 5_000_000_000

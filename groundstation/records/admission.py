@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.codec import Batch
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
+from groundstation.records.manifest import Values
 from groundstation.records.notes import PHASE_PREFIX, Event, Received
 
 _BEFORE_FLIGHT = frozenset({"connect", "take-over"})  # vehicles may start anew, and frames begin wherever they like
@@ -193,7 +193,7 @@ class Admission:
         self._origin[row] = place
 
 
-def of_mission(mission: Mapping[str, Any]) -> Admission:
+def of_mission(mission: Values) -> Admission:
     """The rule of a flight, as the manifest tells its mission; see ``Admission``.
 
     Args:

@@ -24,6 +24,8 @@ import numpy as np
 from groundstation.core.errors import UserError
 from groundstation.core.own_files import refuse_links, write_whole
 
+Values = Mapping[str, Any]
+"""Plain values by key, as JSON has them: a mission, a result."""
 FORMAT_VERSION = 1
 DRY_RUN_EPOCH_UNIX_US = 1_577_836_800_000_000
 """2020-01-01T00:00:00Z: t = 0 of every dry run."""
@@ -60,21 +62,21 @@ class Manifest:
         result: how it ended; None while it flies, and for ever after a crash.
     """
 
-    mission: Mapping[str, Any]
+    mission: Values
     epoch_unix_us: int
     versions: Mapping[str, str] = field(default_factory=dict)
     seed: int | None = None
     dry_run: bool = False
     take_over: bool = False
     gains_npz: bytes | None = None
-    result: Mapping[str, Any] | None = None
+    result: Values | None = None
 
     @property
     def gains_sha256(self) -> str | None:
         """Hash of the gains file in hexadecimal, None without gains."""
         return None if self.gains_npz is None else hashlib.sha256(self.gains_npz).hexdigest()
 
-    def finished(self, result: Mapping[str, Any]) -> Manifest:
+    def finished(self, result: Values) -> Manifest:
         """Returns the manifest of the finished flight; a dry run leaves out what would differ from run to run."""
         drop = _NOT_REPEATABLE if self.dry_run else ()
         return replace(self, result={key: value for key, value in result.items() if key not in drop})
@@ -198,7 +200,7 @@ def claim_log(log: Path, replaceable: Callable[[Manifest], bool]) -> None:
         raise UserError(f"{log}: cannot make its folder: {error.strerror or error}; name another one") from error
 
 
-def _expect(path: Path, values: Mapping[str, Any], key: str, *kinds: type) -> Any:
+def _expect(path: Path, values: Values, key: str, *kinds: type) -> Any:
     if key not in values:
         raise UserError(f"{path}: {key} is missing; the manifest is not from this program or damaged")
     value = values[key]

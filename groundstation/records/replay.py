@@ -14,7 +14,6 @@ import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.codec import Frame, message_id
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.records.admission import Admission, of_mission
-from groundstation.records.manifest import Manifest, manifest_beside
+from groundstation.records.manifest import Manifest, Values, manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
 from groundstation.records.tlog import TlogReader, read_tlog
 from groundstation.records.tracks import VehicleTrack, tracks_of, vectors
@@ -254,8 +253,8 @@ def load_flight(path: Path) -> Flight:
 
 def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Flight:
     setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
-    mission: Mapping[str, Any] = {} if manifest is None else manifest.mission
-    result: Mapping[str, Any] = (None if manifest is None else manifest.result) or {}
+    mission: Values = {} if manifest is None else manifest.mission
+    result: Values = (None if manifest is None else manifest.result) or {}
     _check_kinds(path, mission, result)
     sysids, admission = admission_of(reader, mission)
     setpoints: list[tuple[int, Frame]] = []
@@ -311,7 +310,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
     )
 
 
-def admission_of(reader: TlogReader, mission: Mapping[str, Any]) -> tuple[list[int], Admission]:
+def admission_of(reader: TlogReader, mission: Values) -> tuple[list[int], Admission]:
     """Who is a vehicle in a log, by system id, and the rule by which its frames are let in.
 
     Args:
@@ -334,7 +333,7 @@ def _printable(name: str) -> str:
     return name.encode(errors="replace").decode()[:200]
 
 
-def _check_kinds(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> None:
+def _check_kinds(path: Path, mission: Values, result: Values) -> None:
     """Looks whether what is read here has the kinds of values that it is read as.
 
     Raises:
@@ -380,7 +379,7 @@ def _interpolate(track: VehicleTrack, t_ns: IntArray) -> FloatArray:
     return np.where(exact[:, None], points[inside], np.where(between[:, None], line, np.nan))
 
 
-def _formations(path: Path, mission: Mapping[str, Any], events: Sequence[Event]) -> tuple[FlightFormation, ...]:
+def _formations(path: Path, mission: Values, events: Sequence[Event]) -> tuple[FlightFormation, ...]:
     """The formations of a flight, each from when on it was flown, as its events tell."""
     where = f"{path}: manifest: mission"
     first = _formation(f"{where}.formation", mission.get("formation"))
@@ -431,7 +430,7 @@ def _formation(where: str, given: object) -> FlightFormation | None:
     return FlightFormation(_printable(str(given.get("name", "formation"))), points, tuple(pairs))
 
 
-def _radius(path: Path, mission: Mapping[str, Any]) -> float | None:
+def _radius(path: Path, mission: Values) -> float | None:
     avoidance = mission.get("avoidance")
     radius = avoidance.get("radius_m") if isinstance(avoidance, Mapping) else None
     if radius is None:

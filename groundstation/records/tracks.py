@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pymap3d
@@ -15,6 +14,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Frame, decode
 from groundstation.records.admission import Admission, Reports
+from groundstation.records.manifest import Values
 
 _IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
 
@@ -42,8 +42,8 @@ class VehicleTrack:
 
 def tracks_of(
     path: Path,
-    mission: Mapping[str, Any],
-    result: Mapping[str, Any],
+    mission: Values,
+    result: Values,
     *,
     sysids: Sequence[int],
     admission: Admission,
@@ -108,7 +108,7 @@ def tracks_of(
     return tuple(tracks), by_place
 
 
-def _from_places(places: Reports, settled_ns: int | None, mission: Mapping[str, Any]) -> Reports:
+def _from_places(places: Reports, settled_ns: int | None, mission: Values) -> Reports:
     """Places on earth as metres north, east and down of one place on earth.
 
     The frame hangs on the first vehicle, as in flight: where it stood when the flight began is its pad. Without a
@@ -128,7 +128,7 @@ def _from_places(places: Reports, settled_ns: int | None, mission: Mapping[str, 
     return Reports(places.t_ns, places.vehicle, places.boot_ms, position, places.vel_ned_m_s)
 
 
-def _moved(mission: Mapping[str, Any], result: Mapping[str, Any]) -> set[int]:
+def _moved(mission: Values, result: Values) -> set[int]:
     """Vehicles by GPS, which may have moved their origins until the frames were settled, just before arming."""
     if not result.get("local_origins_enu_m"):
         return set()
@@ -149,7 +149,7 @@ def setpoint_columns(timed: Sequence[tuple[int, Frame]]) -> tuple[IntArray, IntA
     return t_ns[good][order], batch.values["target_system"][good][order].astype(np.int64), vectors[good][order]
 
 
-def offsets_of(path: Path, mission: Mapping[str, Any], result: Mapping[str, Any]) -> dict[int, FloatArray | None]:
+def offsets_of(path: Path, mission: Values, result: Values) -> dict[int, FloatArray | None]:
     """Where each vehicle's own origin lies in the team's frame; None where that is not known.
 
     What the flight found out (``local_origins_enu_m`` of its result) comes before what the mission says.

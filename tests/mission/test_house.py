@@ -211,6 +211,61 @@ def test_nobody_asks_a_safety_region_for_its_kind(tmp_path: Path) -> None:
     assert _asks_for_kind(sly, ("Safety",)) == [1]
 
 
+ANY = {
+    "groundstation/core/files.py: _UniqueKeyLoader": "PyYAML's own signatures",
+    "groundstation/core/files.py: read_yaml": "what a file of somebody else holds",
+    "groundstation/core/files.py: parse_yaml": "the same",
+    "groundstation/core/files.py: parse_yaml_value": "the same",
+    "groundstation/core/files.py: validate": "the same, before it is judged",
+    "groundstation/design/problem.py: Matrix": "real or complex",
+    "groundstation/links/mavsdk_link.py: MavsdkLink": "the objects of a package without types",
+    "groundstation/mavlink/codec.py: Encoder": "fields of a message by name: numbers, texts, lists",
+    "groundstation/mavlink/codec.py: _flatten": "the same",
+    "groundstation/mavlink/layouts.py: _read_layout": "a class of a package without types",
+    "groundstation/mavlink/station.py: Station": "fields of a message by name",
+    "groundstation/mission/plan/overrides.py: override_value": "a mission file before it is judged",
+    "groundstation/mission/plan/plan.py: MissionPlan": "the mission as JSON has it",
+    "groundstation/mission/plan/plan.py: _plain": "a formation as JSON has it",
+    "groundstation/mission/plan/reading.py: plan_from_record": "a mission out of JSON, before it is judged",
+    "groundstation/mission/plan/reading.py: _shape_from_record": "a formation out of JSON, before it is judged",
+    "groundstation/records/imports.py: import_crazyswarm": "the formation as JSON has it",
+    "groundstation/records/imports.py: _positions": "columns of a message",
+    "groundstation/records/imports.py: _setpoints": "the same",
+    "groundstation/records/manifest.py: Values": "what JSON holds, by key",
+    "groundstation/records/manifest.py: _expect": "one of its values",
+    "groundstation/records/manifest.py: _plain": "the same",
+    "sitl/faults.py: _ShallowLoader": "PyYAML's own signature",
+    "sitl/faults.py: parse_fault": "what a file of somebody else holds",
+    "sitl/wire.py: Fields": "fields of a message by name: numbers, texts, lists",
+}
+"""Where ``Any`` stands below the commands and their door for Python, and what for; all else has types."""
+
+
+def _uses_any(tree: ast.Module) -> set[str]:
+    """Names at the top of a file in which ``Any`` is used: functions, classes, aliases."""
+    found = set()
+    for node in tree.body:
+        if any(isinstance(item, ast.Name) and item.id == "Any" for item in ast.walk(node)):
+            targets = node.targets if isinstance(node, ast.Assign) else [node]
+            found |= {getattr(item, "name", None) or ast.unparse(item) for item in targets}
+    return found
+
+
+def test_any_stands_only_where_the_list_says() -> None:
+    used = set()
+    for root in (ROOT, EMULATOR):
+        for path in root.rglob("*.py"):
+            name = path.relative_to(root.parent)
+            if name.parts[:2] != ("groundstation", "app") and name.parts[1:] != ("api.py",):
+                used |= {f"{name}: {item}" for item in _uses_any(ast.parse(path.read_text(encoding="utf-8")))}
+    assert used == set(ANY), used ^ set(ANY)
+
+
+def test_any_is_found_wherever_it_hides() -> None:
+    sly = ast.parse("Row = dict[str, Any]\nclass A:\n    def f(self, x: list[Any]) -> None: ...\ndef g() -> Any: ...\n")
+    assert _uses_any(sly) == {"Row", "A", "g"}
+
+
 _GROWS = frozenset({"append", "extend", "insert", "add", "update", "setdefault", "remove", "discard"})
 
 

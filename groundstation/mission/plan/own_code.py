@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 
 from groundstation.core.errors import UserError
 from groundstation.core.files import is_file
@@ -64,9 +63,9 @@ class CodeSource:
 
     folders: tuple[Path, ...] = ()
     given: Mapping[str, Answer] = field(default_factory=dict)
-    flown: Mapping[str, Any] | None = None
+    flown: Mapping[str, object] | None = None
 
-    def find(self, key: str, use: str, options: Mapping[str, Any], source: str) -> OwnCode:
+    def find(self, key: str, use: str, options: Mapping[str, object], source: str) -> OwnCode:
         """Loads what a mission names, and makes one to see that it can be made.
 
         Args:
@@ -79,6 +78,7 @@ class CodeSource:
             UserError: there is none of that name, it cannot be loaded or made, or it is not what was flown.
         """
         where = f"{source}: {key}"
+        made: object
         if key in self.given:
             made, version, content = self.given[key], "", _content_of(self.given[key])
             self._check(where, key, use, content)
@@ -93,7 +93,7 @@ class CodeSource:
         code.make()
         return code
 
-    def _by_file(self, where: str, key: str, use: str) -> tuple[Any, str, bytes]:
+    def _by_file(self, where: str, key: str, use: str) -> tuple[object, str, bytes]:
         """A name of a module in one of the folders, or of one that Python finds."""
         name, _, attribute = use.partition(":")
         if not all(part.isidentifier() for part in [*name.split("."), *attribute.split(".")]):
@@ -116,7 +116,7 @@ class CodeSource:
             self._check(where, key, use, content)  # before a line of it is run
             with _own_errors(where, use):
                 module = _run(path, content)
-        found: Any = module
+        found: object = module
         for part in attribute.split("."):
             found = getattr(found, part, None)
         if found is None:
@@ -143,7 +143,7 @@ class CodeSource:
             )
 
 
-def _by_entry_point(where: str, key: str, use: str) -> tuple[Any, str, bytes]:
+def _by_entry_point(where: str, key: str, use: str) -> tuple[object, str, bytes]:
     """What an installed package offers under a name."""
     offered = {point.name: point for point in metadata.entry_points(group=GROUPS[key])}
     if use not in offered:
@@ -185,7 +185,7 @@ def _own_errors(where: str, use: str) -> Iterator[None]:
         raise UserError(f"{where}: {use} cannot be loaded: {in_words(error)}") from None
 
 
-def _make(where: str, use: str, found: Any, options: Mapping[str, Any]) -> Answer:
+def _make(where: str, use: str, found: Answer, options: Mapping[str, object]) -> Answer:
     """One for a flight: an object of a class, or the function with its options."""
     if not inspect.isclass(found):
         return partial(found, **options) if options else found
@@ -201,14 +201,15 @@ def _make(where: str, use: str, found: Any, options: Mapping[str, Any]) -> Answe
     return made
 
 
-def _content_of(thing: Any) -> bytes:
+def _content_of(thing: object) -> bytes:
     """The file that a module comes from, or the source of something in a notebook; empty where there is neither."""
     module = thing if inspect.ismodule(thing) else inspect.getmodule(thing)
     file = getattr(module, "__file__", None)
     if file is not None and is_file(Path(file)):
         return Path(file).read_bytes()
-    with contextlib.suppress(OSError, TypeError):
-        return inspect.getsource(thing).encode()
+    if isinstance(thing, type | FunctionType | MethodType):
+        with contextlib.suppress(OSError, TypeError):
+            return inspect.getsource(thing).encode()
     return b""
 
 
@@ -216,7 +217,7 @@ def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest() if content else ""
 
 
-def name_of(thing: Any) -> str:
+def name_of(thing: object) -> str:
     """``module:name`` of a class or function."""
-    kind = thing if hasattr(thing, "__qualname__") else type(thing)
+    kind = thing if isinstance(thing, type | FunctionType | MethodType | BuiltinFunctionType) else type(thing)
     return f"{kind.__module__}:{kind.__qualname__}".replace(".<locals>", "")

@@ -5,7 +5,7 @@ Only shapes are judged here; ``plan`` judges what the values mean together.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
@@ -23,7 +23,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 
-def _no_boolean(value: Any) -> Any:
+def _no_boolean(value: object) -> object:
     """Refuses booleans, which Python would take for 0 or 1."""
     if isinstance(value, bool):
         raise ValueError("input should be a valid number")
@@ -50,7 +50,7 @@ class ScaleSpec(_Strict):
     gain: Annotated[Number, Field(gt=0, le=100)] = 2.5
 
 
-def _by_name(value: Any) -> Any:
+def _by_name(value: object) -> object:
     """A name alone stands for code without options."""
     return {"use": value} if isinstance(value, str) else value
 
@@ -59,7 +59,7 @@ class OwnCodeSpec(_Strict):
     """Code of one's own: ``module:name`` or the name of an entry point, and what its constructor is given."""
 
     use: Annotated[str, Field(min_length=1, max_length=200)]
-    options: dict[str, Any] = {}
+    options: dict[str, object] = {}
 
 
 OwnCodeName = Annotated[OwnCodeSpec, BeforeValidator(_by_name, json_schema_input_type=str | OwnCodeSpec)]
