@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -20,10 +20,10 @@ _T = TypeVar("_T")
 class _once(Generic[_T]):  # noqa: N801 - a decorator, like functools' cached_property, which takes a lock
     """Works a property out when it is first asked for."""
 
-    def __init__(self, make: Callable[[Any], _T]) -> None:
+    def __init__(self, make: Callable[[View], _T]) -> None:
         self._make = make
 
-    def __get__(self, owner: Any, _kind: object = None) -> _T:
+    def __get__(self, owner: View, _kind: object = None) -> _T:
         """Called once: from then on the value is found before this."""
         value = owner.__dict__[self._make.__name__] = self._make(owner)
         return value
