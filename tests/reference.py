@@ -13,11 +13,15 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
+from groundstation.app.resources import packaged_configs
+from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from groundstation.records.manifest import manifest_path
+from sitl.faults import load_faults
 from sitl.world import World
 from tests.app.flights import FULL_RATE, Flight, after, four, pair
 
@@ -101,6 +105,42 @@ def _taken_over(log: Path) -> Flight:
     return Flight(plan, world=worlds[0], take_over=True, log=log)
 
 
+def _moved_and_stopped(log: Path) -> Flight:
+    """The pair moves and turns as one; in its second move the operator stops it, and kills one on the way back."""
+    moves = "{move: {by_m: [0.5, 0.2, 0.1], turn_deg: 5}}, {move: {by_m: [-0.5, 0, 0]}}"
+    orders = says((_in_the_second_move, "return"), (after(Phase.RETURN, 1.0), "kill 2"))
+    return Flight(pair(f"steps=[{{form: {{tolerance_m: 0.4}}}}, {moves}]"), log=log, interrupt_when=orders)
+
+
+def _in_the_second_move(flight: Flight) -> bool:
+    return sum("the middle of the team has moved" in note.text for note in flight.notes) == 1
+
+
+def _under(faults: str, plan: MissionPlan, log: Path) -> Flight:
+    """A flight under one of the timetables of faults that come along."""
+    timetable = load_faults(packaged_configs() / "faults" / f"{faults}.yaml")
+    return Flight(plan, log=log, change=lambda config: replace(config, faults=timetable))
+
+
+def _deaf(log: Path) -> Flight:
+    return _under("deaf", pair("limits.preflight_s=8"), log)
+
+
+def _lossy(log: Path) -> Flight:
+    return _under("lossy", pair("steps.1.hold.seconds=0.5"), log)
+
+
+def _slow_link(log: Path) -> Flight:
+    slow = ("link_delay_s=0.39", "steps.0.form.tolerance_m=0.6", "limits.pose_age_s=1", "limits.pose_lost_s=2")
+    return _under("slow_link", pair(*slow), log)
+
+
+def _rough_day(log: Path) -> Flight:
+    """Four under the ids that the timetable speaks of."""
+    ids = (f"vehicles.{row}.id={sysid}" for row, sysid in enumerate((1, 3, 5, 7)))
+    return _under("rough_day", four(*ids, "steps.1.hold.seconds=4"), log)
+
+
 FLIGHTS: dict[str, Callable[[Path], Flight]] = {
     "completed": _completed,
     "goes_on": _goes_on,
@@ -109,6 +149,11 @@ FLIGHTS: dict[str, Callable[[Path], Flight]] = {
     "broken_off": _broken_off,
     "silent": _silent,
     "taken_over": _taken_over,
+    "moved_and_stopped": _moved_and_stopped,
+    "deaf": _deaf,
+    "lossy": _lossy,
+    "slow_link": _slow_link,
+    "rough_day": _rough_day,
 }
 
 
@@ -155,8 +200,9 @@ def renew() -> int:
             packed = lzma.compress(log.read_bytes(), preset=9 | lzma.PRESET_EXTREME)
             target = FOLDER / f"{name}.tlog.xz"
             same = target.is_file() and target.read_bytes() == packed
-            target.write_bytes(packed)
-            (FOLDER / manifest_path(log).name).write_bytes(manifest_path(log).read_bytes())
+            if not same:  # a manifest of an earlier version stays, and has to be read
+                target.write_bytes(packed)
+                (FOLDER / manifest_path(log).name).write_bytes(manifest_path(log).read_bytes())
         differ += not same
         sys.stdout.write(f"{name}: {'the same to the byte' if same else 'differs'}, {len(packed)} bytes\n")
         was = before.get(name)
