@@ -246,6 +246,18 @@ starts: {{kind: planar}}
     assert row["log_mismatches"] == 0
 
 
+def test_who_falls_with_an_empty_battery_counts_as_one_that_nobody_can_steer(tmp_path: Path) -> None:
+    text = """
+faults: {what: {kind: battery_drain, percent_per_s: 100}, phase: form}
+starts: {kind: planar}
+"""
+    row = fly_case(_case(tmp_path, TETRAHEDRON + text))
+    assert row["error"] == ""
+    assert row["outcome"] == "aborted"
+    assert row["safe"], row
+    assert row["min_distance_m"] <= row["min_obedient_m"]
+
+
 def test_the_fault_matrix_is_complete() -> None:
     vary = load_vary(CONFIGS / "campaigns" / "faults.yaml")
     cells = [vary.setting(cell.values) for cell in vary.cells]

@@ -205,6 +205,7 @@ class _Flown:
         while self._begun and self._begun[0][0] <= now_ns:
             _, sysids, kind = self._begun.pop(0)
             self._spoil(kind, self._rows(sysids))
+        self._take_empty()
         if now_ns >= self._case.setting.limit_s * _SECOND_NS:
             raise _TooLongError
 
@@ -238,6 +239,12 @@ class _Flown:
         self._witness.upset(vehicles)
         if kind in DISOBEDIENT:
             self._give_up_on(vehicles)
+
+    def _take_empty(self) -> None:
+        """Whose battery is empty has no power for its motors, as after a motor failure: nobody can steer it."""
+        empty = [row for row, pilot in enumerate(self._world.autopilots) if pilot.battery.left <= 0.0]
+        if empty and not self._unsteered[empty].all():
+            self._give_up_on(empty)
 
     def _give_up_on(self, vehicles: Sequence[int]) -> None:
         """From now on these are not counted among those that have to keep their distance."""
