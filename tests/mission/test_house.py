@@ -10,6 +10,7 @@ import pytest
 
 import groundstation
 import sitl
+from groundstation.mission.plan import schema
 
 ROOT = Path(groundstation.__file__).parent
 EMULATOR = Path(sitl.__file__).parent
@@ -209,6 +210,24 @@ def test_nobody_asks_a_safety_region_for_its_kind(tmp_path: Path) -> None:
     sly = tmp_path / "sly.py"
     sly.write_text("if isinstance(region, (int, SafetySphere)):\n    pass\n")
     assert _asks_for_kind(sly, ("Safety",)) == [1]
+
+
+def test_nobody_asks_a_step_of_a_mission_for_its_kind(tmp_path: Path) -> None:
+    """A step answers what is asked of it; which class flies it stands in one place, where all kinds have a case."""
+    kinds = tuple(name for name in vars(schema) if name.endswith("Step") and name != "Step")
+    assert {"FormStep", "HoldStep", "MoveStep", "PlaceStep", "GoToStep"} <= set(kinds)
+    asked = {str(path): _asks_for_kind(path, kinds) for path in ROOT.rglob("*.py")}
+    assert {name: lines for name, lines in asked.items() if lines} == {}
+    named = {
+        str(path.relative_to(MISSION))
+        for path in MISSION.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.MatchClass) and ast.unparse(node.cls) in kinds
+    }
+    assert named == {"flight/steps.py"}
+    sly = tmp_path / "sly.py"
+    sly.write_text("if isinstance(step, FormStep):\n    pass\n")
+    assert _asks_for_kind(sly, kinds) == [1]
 
 
 ANY = {

@@ -27,7 +27,6 @@ from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.steps import Now, StepFlight, step_flight
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.plan.schema import FormStep
 from groundstation.mission.plan.stages import roles_for
 from groundstation.mission.roster import Duties
 from groundstation.mission.verdict import Figures
@@ -140,7 +139,7 @@ class FormationFlight:
             return "return"
         if another:
             self._give_roles(poses)
-        if isinstance(step, FormStep):
+        if step.form is not None:
             now.tell_formation("1")
             self._begin_place(poses)
         self._doing = step_flight(now, now_ns, step)

@@ -122,7 +122,7 @@ class StepFlight:
     def _tolerance_m(self) -> float:
         """What the last ``form`` step asked for."""
         steps = self._flown.plan.spec.steps[: self._flown.number]
-        return next(item.tolerance_m for item in reversed(steps) if isinstance(item, FormStep))
+        return next(item.form.tolerance_m for item in reversed(steps) if item.form is not None)
 
     def _lost(self, doing: str, now: Now, steady_ns: int = SECOND_NS) -> str:
         """Why the formation counts as lost, empty while it does not."""
@@ -168,7 +168,7 @@ class Forming(StepFlight):
                 flown.tell(f"formed {flown.stage.formation.name} after {took_s:.2f} s")
             self._tell_size(now.poses)
             later = flown.plan.spec.steps[flown.number + 1 :]
-            flown.figures.formed(took_s, last=not any(isinstance(item, FormStep) for item in later))
+            flown.figures.formed(took_s, last=all(item.form is None for item in later))
             return StepTick(done=True)
         if not within and now.now_ns - self._since_ns >= step.timeout_s * SECOND_NS:
             whys = [] if now.upright else ["the team stands upside down (set upright_1_s or takeoff.stagger_m)"]
@@ -200,7 +200,7 @@ class Moving(StepFlight):
 
     phase = "move"
 
-    def __init__(self, flown: UnderWay, now_ns: int, step: MoveStep) -> None:
+    def __init__(self, flown: UnderWay, now_ns: int) -> None:
         super().__init__(flown, now_ns)
         self._move: MovePlan = flown.plan.moves[flown.number]
         self._begun = False
@@ -392,7 +392,7 @@ def step_flight(flown: UnderWay, now_ns: int, step: Step) -> StepFlight:
         case HoldStep():
             return Holding(flown, now_ns, step)
         case MoveStep():
-            return Moving(flown, now_ns, step)
+            return Moving(flown, now_ns)
         case HoverStep():
             return Hovering(flown, now_ns, step)
         case GoToStep() | WaypointsStep():

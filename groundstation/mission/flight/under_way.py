@@ -10,7 +10,7 @@ from groundstation.core.types import BoolArray
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.keeping import PlaceKeeper
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.plan.schema import FormStep, Step
+from groundstation.mission.plan.schema import Step
 from groundstation.mission.plan.stages import Stage
 from groundstation.mission.roster import Duties
 from groundstation.mission.verdict import Figures
@@ -75,14 +75,14 @@ class UnderWay:
         """Goes on to the next step; returns whether another formation begins with it."""
         self.number += 1
         step, before = self.step, self._stage_index
-        if isinstance(step, FormStep):
+        if step is not None and step.form is not None:
             self._stage_index = self.plan.stage_of_step[self.number]
             self.size = 1.0
         return self._stage_index != before
 
     def back_to_form(self) -> None:
         """Goes back to the last ``form`` step."""
-        while not isinstance(self.plan.spec.steps[self.number], FormStep):
+        while self.plan.spec.steps[self.number].form is None:
             self.number -= 1
 
     def resize(self, size: float) -> None:
@@ -97,7 +97,6 @@ class UnderWay:
         """Tells the log which formation is under way from now on, where there are several."""
         if len(self.plan.stages) > 1 or self.plan.moves:
             scale = "free" if self.stage.scale.kind == "free" else scale
-            number = max(
-                k for k, step in enumerate(self.plan.spec.steps[: self.number + 1]) if isinstance(step, FormStep)
-            )
+            steps = self.plan.spec.steps[: self.number + 1]
+            number = max(k for k, step in enumerate(steps) if step.form is not None)
             self.tell(f"formation of step {number + 1}: {self.stage.formation.name}, scale {scale}")

@@ -53,7 +53,9 @@ def build_plan(
     """
     pads = np.array([vehicle.pad_m for vehicle in spec.vehicles], dtype=np.float64)
     check_order(spec, source)
-    shapes = {"formation": first} | {f"steps[{number}].form": shape for number, shape in (others or {}).items()}
+    shapes = {"formation": first} | {
+        f"steps[{number}].{spec.steps[number].kind}": shape for number, shape in (others or {}).items()
+    }
     profiles = known_profiles(spec, source)
     _check_vehicles(spec, first.formation, source, profiles)
     vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)

@@ -21,7 +21,7 @@ from groundstation.mission.plan.positioning import (
     all_offsets,
 )
 from groundstation.mission.plan.profiles import VehicleProfile, approach_rate_1_s, slowest
-from groundstation.mission.plan.schema import FormStep, MissionSpec
+from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.plan.stages import (
     FormationPlan,
 )
@@ -96,11 +96,11 @@ class MissionPlan(LinkPlan, FormationPlan):
     def record(self) -> dict[str, Any]:
         """The mission with everything resolved, as plain values, for the manifest beside the log."""
         values = self.spec.model_dump(mode="json", exclude={"formation", "gains"}, exclude_none=True)
-        own = {number for number, step in enumerate(self.spec.steps) if isinstance(step, FormStep) and step.own_shape}
+        own = {number for number, step in enumerate(self.spec.steps) if step.form is not None and step.form.own_shape}
         shapes = []
         for number in sorted(own):
             shape = self.stages[self.stage_of_step[number]].shape
-            form = values["steps"][number]["form"]
+            form = values["steps"][number][self.spec.steps[number].kind]
             form.pop("gains", None)
             form["formation"] = shape.formation.name
             encoded = base64.b64encode(shape.gains_npz).decode()

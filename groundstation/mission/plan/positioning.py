@@ -16,7 +16,7 @@ import numpy as np
 from groundstation.core.errors import UserError
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray
-from groundstation.mission.plan.schema import FormStep, MissionSpec
+from groundstation.mission.plan.schema import MissionSpec
 
 POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
 """Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against
@@ -66,9 +66,10 @@ def check_tolerances(source: str, spec: MissionSpec, rate_1_s: float) -> None:
     """
     least_m = math.ceil(100.0 * tolerance_min_m(rate_1_s)) / 100.0
     for number, step in enumerate(spec.steps):
-        if isinstance(step, FormStep) and step.tolerance_m < least_m:
+        if step.form is not None and step.form.tolerance_m < least_m:
             raise UserError(
-                f"{source}: steps[{number}].form.tolerance_m: {step.tolerance_m:g} m, minimum is {least_m:g} m:"
+                f"{source}: steps[{number}].{step.kind}.tolerance_m: {step.form.tolerance_m:g} m, minimum is"
+                f" {least_m:g} m:"
                 f" vehicles wander by GPS, and with the delay of these links (link_delay_s: {spec.link_delay_s:g}) that"
                 " is taken back slowly; widen the tolerance, or use quicker links"
             )

@@ -27,7 +27,7 @@ from groundstation.mission.plan.overrides import override_value
 from groundstation.mission.plan.own_code import CodeSource
 from groundstation.mission.plan.own_trial import check_own_code
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.plan.schema import FormStep, MissionSpec
+from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.plan.stages import Shape, no_formation
 
 
@@ -65,12 +65,14 @@ def load_mission(path: Path, overrides: Sequence[str] = (), code: CodeSource | N
         first = shapes.read(spec.formation, spec.gains, spec.formation_scale)
     others = {}
     for number, step in enumerate(spec.steps):
-        if isinstance(step, FormStep) and step.own_shape:
-            form = step
+        form = step.form
+        if form is not None and form.own_shape:
             # Gains belong to points: those of the mission go with the mission's formation only.
             gains = form.gains if form.formation is not None or form.gains is not None else spec.gains
             size = form.formation_scale if form.formation is not None or form.formation_scale else spec.formation_scale
-            others[number] = shapes.read(form.formation or spec.formation or "", gains, size, f"steps[{number}].form.")
+            others[number] = shapes.read(
+                form.formation or spec.formation or "", gains, size, f"steps[{number}].{step.kind}."
+            )
     plan = build_plan(spec, first, str(path), others, code or CodeSource((path.parent, Path())))
     check_own_code(plan)
     check_acceleration(plan)
@@ -151,7 +153,7 @@ def plan_from_record(
             others[number] = _shape_from_record(item["formation"], npz, where, resized=True)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{source}: mission.shapes: {error}; the manifest is damaged") from error
-    wanted = {number for number, step in enumerate(spec.steps) if isinstance(step, FormStep) and step.own_shape}
+    wanted = {number for number, step in enumerate(spec.steps) if step.form is not None and step.form.own_shape}
     if wanted != set(others):
         raise UserError(f"{source}: mission.shapes: are for steps {sorted(others)}, expected {sorted(wanted)}")
     return build_plan(spec, first, source, others, code)

@@ -93,6 +93,8 @@ class StepSpec(_Strict):
     """One step of a mission: in the file an item with one key, which says of what kind it is."""
 
     kind: ClassVar[str]
+    formed: ClassVar[bool] = True
+    """Is of a formation, which has been formed before it or is now."""
 
     @model_validator(mode="before")
     @classmethod
@@ -124,6 +126,20 @@ class StepSpec(_Strict):
         """
         raise NotImplementedError
 
+    @property
+    def form(self) -> FormStep | None:
+        """The formation that begins with it; None where none does."""
+        return None
+
+    @property
+    def move(self) -> MoveStep | None:
+        """How it moves the formation as one; None where it does not."""
+        return None
+
+    def places_m(self) -> tuple[Point, ...]:
+        """Where the middle of the team goes in a step that forms nothing, one place after the other."""
+        return ()
+
 
 class FormStep(StepSpec):
     """Form until every distance is within tolerance; what is not given is as at the top of the mission."""
@@ -136,6 +152,11 @@ class FormStep(StepSpec):
     formation_scale: Positive | None = None
     scale: ScaleSpec | None = None
     assignment: Literal["auto", "fixed"] | None = None
+
+    @property
+    def form(self) -> FormStep:
+        """Its own."""
+        return self
 
     @property
     def own_shape(self) -> bool:
@@ -167,6 +188,11 @@ class MoveStep(StepSpec):
     scale: Annotated[Number, Field(ge=0.1, le=10)] = 1.0
     seconds: Positive | None = None
 
+    @property
+    def move(self) -> MoveStep:
+        """As it says."""
+        return self
+
     def longest_s(self, move_s: float) -> float:
         """As long as it says, or what a move between formations takes."""
         return move_s if self.seconds is None else self.seconds
@@ -175,9 +201,7 @@ class MoveStep(StepSpec):
 class PlaceStep(StepSpec):
     """A step in which vehicles fly to places, or stay in theirs, and form nothing."""
 
-    def places_m(self) -> tuple[Point, ...]:
-        """Where the middle of the team goes, one place after the other; none where it stays."""
-        return ()
+    formed: ClassVar[bool] = False
 
     def longest_s(self, move_s: float) -> float:
         """What it stays; the ways are reckoned from the places."""
@@ -244,7 +268,7 @@ Step = Annotated[
     Discriminator(_kind_of),
     BeforeValidator(_one_key),
 ]
-"""A new kind of step is a class here, and one in ``flight.steps``."""
+"""A new kind of step is a class here, which answers what is asked of all of them, and one in ``flight.steps``."""
 
 
 class LandSpec(_Strict):

@@ -24,7 +24,7 @@ from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
 from groundstation.mission.plan.profiles import VehicleProfile
-from groundstation.mission.plan.schema import FormStep, MissionSpec, MoveStep, PlaceStep, ScaleSpec
+from groundstation.mission.plan.schema import MissionSpec, MoveStep, ScaleSpec
 
 MOVE_SHARE = 0.5
 """Share of the speed and acceleration limits that a move may ask for; the rest is for keeping the formation."""
@@ -205,8 +205,8 @@ def make_stages(
     stages = [make_stage(spec, first, profile, lead_s, source=source)]
     of_step, current = [], 0
     for number, step in enumerate(spec.steps):
-        if isinstance(step, FormStep):
-            form = step
+        form = step.form
+        if form is not None:
             current = 0
             if number in others or form.scale is not None or form.assignment is not None:
                 current = len(stages)
@@ -217,7 +217,7 @@ def make_stages(
                         profile,
                         lead_s,
                         source=source,
-                        key=f"steps[{number}].form",
+                        key=f"steps[{number}].{step.kind}",
                         scale=form.scale,
                         assignment=form.assignment,
                     )
@@ -235,11 +235,11 @@ def check_order(spec: MissionSpec, source: str) -> None:
     formed = False
     for number, step in enumerate(spec.steps):
         key = f"{source}: steps[{number}]"
-        if isinstance(step, FormStep):
+        if step.form is not None:
             formed = True
             if spec.formation is None:
                 raise UserError(f"{source}: formation: is missing, give it a value: steps[{number}] forms one")
-        elif isinstance(step, PlaceStep):
+        elif not step.formed:
             formed = False
         elif not formed and number == 0:
             raise UserError(
@@ -370,13 +370,13 @@ def plan_moves(
     for number, step in enumerate(spec.steps):
         stage = stages[stage_of_step[number]]
         points = stage.formation.points_enu_m - stage.formation.points_enu_m.mean(axis=0)
-        if isinstance(step, FormStep):
+        if step.form is not None:
             size = 1.0
             centre[2] = max(centre[2], floor_m - float(points[:, 2].min()))
             together, turned = points, True
-        elif isinstance(step, MoveStep):
-            key = f"{source}: steps[{number}].move"
-            move = _timed(step, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
+        elif step.move is not None:
+            key = f"{source}: steps[{number}].{step.kind}"
+            move = _timed(step.move, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
             moves[number] = move
             size *= move.scale
             radius = spec.avoidance.radius_m
@@ -385,7 +385,7 @@ def plan_moves(
                 least = min(least, region.room_m(all_offsets(size * points)))
                 if shortest <= radius:
                     raise UserError(
-                        f"{key}.scale: {step.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
+                        f"{key}.scale: {move.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
                         f" {radius:g} m (avoidance.radius_m); scale by more, or lower the radius"
                     )
                 check_radius(
@@ -399,7 +399,7 @@ def plan_moves(
             centre = centre + move.by_enu_m
             _check_fence(spec, size * points, centre, floor_m, key)
             together = size * points
-        elif isinstance(step, PlaceStep):
+        elif not step.formed:
             flown_to[number] = np.array(step.places_m(), dtype=np.float64).reshape(-1, 3)
             for place_m in flown_to[number]:
                 key = f"{source}: steps[{number}].{step.kind}"
@@ -414,8 +414,8 @@ def _places(spec: MissionSpec, stages: Sequence[Stage], stage_of_step: Sequence[
     size = 1.0
     for number, step in enumerate(spec.steps):
         stage = stages[stage_of_step[number]]
-        size = 1.0 if isinstance(step, FormStep) else size * (step.scale if isinstance(step, MoveStep) else 1.0)
-        if stage.scale.kind != "free" or isinstance(step, FormStep):
+        size = 1.0 if step.form is not None else size * (step.move.scale if step.move is not None else 1.0)
+        if stage.scale.kind != "free" or step.form is not None:
             places[f"steps[{number}]"] = size * stage.formation.points_enu_m
     return places
 
