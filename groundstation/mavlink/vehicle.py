@@ -43,6 +43,7 @@ _PEER_SILENT_NS = 1_500_000_000  # only then may a vehicle's datagrams come from
 _RIVAL_NS = 5_000_000_000
 _QUATERNION_OLD_NS = 500_000_000  # only then is the attitude taken from Euler angles
 _ORIGIN_SAME_M = 0.05
+_ORIGIN_FAR_M = 3_000.0  # and twice the local position, for what the curved earth makes of one that is far
 _ORIGINS_NS = 10_000_000_000
 _ELSEWHERE_MAX = 2_000
 _METRES_PER_DEGREE = 111_320.0
@@ -476,10 +477,11 @@ class Fleet:
         kinds = values["type"].astype(np.int64) << 8 | values["autopilot"]
         self.senders.heartbeat(row, kinds, armed, mode, t_ns)
         flies = np.isin(self.landed_state[row], _OFF_THE_GROUND) & (t_ns - self.landed_ns[row] < _LANDED_FRESH_NS)
-        # Some firmware says "landing" for ever: one that stands still then has landed.
-        flies &= (self.landed_state[row] != LANDED_LANDING) | self._moves(row, t_ns)
-        flies &= ~self.disarm_expected[row]
-        doubted = ~armed & self.armed[row] & flies
+        doubted = ~armed & self.armed[row] & flies & ~self.disarm_expected[row]
+        if doubted.any():
+            # Some firmware says "landing" for ever: one that stands still then has landed, unless two speak for it.
+            moves = self._moves(row, t_ns) | self.senders.in_doubt(int(t_ns[-1]))[row]
+            doubted &= (self.landed_state[row] != LANDED_LANDING) | moves
         for k in doubted.nonzero()[0].tolist():
             told = (int(t_ns[k]), int(mode[k]), int(values["system_status"][k]))
             self._told[int(row[k])] = told
@@ -574,6 +576,12 @@ class Fleet:
         places = _place(values["latitude"], values["longitude"], values["altitude"])
         known = _on_earth(values["latitude"], values["longitude"])
         self._count("origin that is no place on earth", int((~known).sum()))
+        far = known & self._elsewhere_on_earth(places, row, t_ns)
+        self._count("origin that neither position agrees with", int(far.sum()))
+        for vehicle in row[far].tolist():  # one that came before there were positions is no better
+            if self._elsewhere_on_earth(self.origin_deg_m[[vehicle]], np.array([vehicle]), t_ns[-1:]).any():
+                self.origin_deg_m[vehicle], self.origin_ns[vehicle] = np.nan, NEVER
+        known &= ~far
         for vehicle, place, t in zip(row[known].tolist(), places[known], t_ns[known].tolist(), strict=True):
             north_m, east_m = (place[:2] - self.origin_deg_m[vehicle, :2]) * _METRES_PER_DEGREE
             east_m *= np.cos(np.radians(place[0]))
@@ -582,6 +590,15 @@ class Fleet:
                 self.origin_moved_ns[vehicle], self.origin_moved_m[vehicle] = t, moved_m
             self.origin_deg_m[vehicle] = place
             self.origin_ns[vehicle] = t
+
+    def _elsewhere_on_earth(self, places: FloatArray, row: IntArray, t_ns: IntArray) -> BoolArray:
+        """Which origins are kilometres from where both positions of their vehicle say, shape (k,): somebody else's."""
+        north_east = (places[:, :2] - self.place_deg_m[row, :2]) * _METRES_PER_DEGREE
+        north_east[:, 1] *= np.cos(np.radians(places[:, 0]))
+        local_m = np.linalg.norm(self.pos_local_ned_m[row], axis=1)
+        far = np.linalg.norm(north_east, axis=1) > _ORIGIN_FAR_M + 2.0 * local_m  # NaN is not
+        far &= (t_ns - self.place_ns[row] < _LANDED_FRESH_NS) & (t_ns - self.pose_ns[row] < _LANDED_FRESH_NS)
+        return np.asarray(far)
 
     def _home(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
         values = batch.values

@@ -278,7 +278,7 @@ def test_an_origin_that_is_no_place_is_unknown_and_not_a_jump(place: tuple[int, 
     _assert_flown(flight)
 
 
-def test_a_far_origin_that_its_positions_do_not_follow_lands_nobody_where_it_is() -> None:
+def test_an_origin_that_its_positions_do_not_follow_lands_nobody_where_it_is() -> None:
     """On 1719c84 one false message landed the vehicle where it was."""
     sender = Sender(1)
     told: list[int] = []
@@ -290,7 +290,18 @@ def test_a_far_origin_that_its_positions_do_not_follow_lands_nobody_where_it_is(
         return False
 
     plan = pair("steps.1.hold.seconds=6", autopilots=PX4_TWICE)
-    flight = Flight(plan, tamper=_besides(lambda: sender.origin(400_000_000, 100_000_000), 0.0, once))
-    _assert_brought_home(flight, "vehicle 1: an origin 832804 m from its own is told under its id (GPS_GLOBAL_ORIGIN)")
+    flight = Flight(plan, tamper=_besides(lambda: sender.origin(474_022_600, 85_455_940, 488_000), 0.0, once))
+    _assert_brought_home(flight, "m from its own is told under its id (GPS_GLOBAL_ORIGIN), and neither")
     off_pads_m = abs(flight.world.truth.pos_enu_m - flight.plan.pads_enu_m)[:, :2]
     assert off_pads_m.max() < 0.6
+
+
+def test_a_second_sender_while_the_team_is_arming_is_told_as_one() -> None:
+    """It was "acknowledged OFFBOARD mode and did not do it", after a minute; it had."""
+    twin = Sender(1)
+    flight = Flight(
+        pair(autopilots=PX4_TWICE), tamper=_besides(lambda: twin.heartbeat(DISARMED, LOITER), 0.1, lambda _flight: True)
+    )
+    _assert_on_the_ground(flight)
+    assert flight.runner.reason.startswith("vehicle 1: two senders say that they are 1, both at emulator:1: their ")
+    assert flight.now_ns < 30 * SECOND_NS

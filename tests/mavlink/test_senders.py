@@ -19,6 +19,7 @@ from tests.mavlink.sender import (
     FIXED_WING,
     IN_AIR,
     INVALID,
+    LAND,
     LOITER,
     OFFBOARD,
     ON_GROUND,
@@ -335,6 +336,36 @@ def test_firmware_that_says_landing_for_ever_is_believed_to_be_disarmed_when_it_
         scene.hear(scene.sender.raw(position), scene.sender.landed(4))
     scene.hear(scene.sender.heartbeat(DISARMED, LOITER))
     assert bool(scene.fleet.armed[0]) is armed
+
+
+def test_of_one_that_stands_still_as_it_begins_to_land_disarmed_is_not_believed_when_two_speak() -> None:
+    scene = Scene()
+    scene.flies()
+    for k in range(6):
+        scene.hear(scene.sender.heartbeat(ARMED, LAND if k % 2 else OFFBOARD), passed_ms=200)
+    still = dialect.MAVLink_local_position_ned_message(50_000, 0.0, 0.0, -3.0, 0.0, 0.0, 0.0)
+    scene.hear(scene.sender.raw(still), scene.sender.landed(4), scene.sender.heartbeat(DISARMED, LAND), passed_ms=100)
+    assert scene.fleet.armed[0]
+
+
+def _at_zurich(scene: Scene) -> bytes:
+    place = dialect.MAVLink_global_position_int_message(60_000, 473_977_400, 85_456_000, 488_000, 0, 0, 0, 0, 0)
+    return scene.sender.position(60_000, 3.0) + scene.sender.raw(place)
+
+
+def test_an_origin_that_neither_position_agrees_with_is_not_taken() -> None:
+    """A vehicle whose origin was really set far away is far from it by its local position as well."""
+    here, away = (473_977_100, 85_456_000, 488_000), (400_000_000, 100_000_000)
+    scene = Scene()
+    scene.hear(scene.sender.origin(*away))  # before there are positions anything is possible
+    scene.hear(_at_zurich(scene), scene.sender.origin(*away), passed_ms=100)
+    assert np.isnan(scene.fleet.origin_deg_m).all()
+    scene.hear(scene.sender.origin(*here), scene.sender.origin(*away), passed_ms=100)
+    np.testing.assert_allclose(scene.fleet.origin_deg_m[0], [47.39771, 8.5456, 488.0])
+    assert scene.fleet.origin_moved_ns[0] == NEVER
+    assert scene.fleet.counts["origin that neither position agrees with"] == 2
+    scene.hear(scene.sender.position(60_500, 900_000.0), scene.sender.origin(*away), passed_ms=500)
+    assert scene.fleet.origin_deg_m[0, 0] == pytest.approx(40.0)
 
 
 def test_whoever_was_told_to_stop_its_motors_is_believed_when_it_says_disarmed() -> None:

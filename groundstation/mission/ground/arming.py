@@ -95,6 +95,14 @@ class Arming:
         anew = self._fleet.sysid[(self._fleet.restarts != self._restarts) & self._roster.ours]
         return "; ".join(f"vehicle {sysid}: has started anew while the team was arming" for sysid in anew) or None
 
+    def two_senders(self, now_ns: int) -> str | None:
+        """Words for those in whose name two speak, so that nobody knows whether they are armed; None for none."""
+        if not self._fleet.senders.in_doubt(now_ns).any():
+            return None
+        told = (self._fleet.twin_behind_one_address(row, now_ns) for row in np.flatnonzero(self._roster.ours).tolist())
+        names = self._fleet.sysid[self._roster.ours]
+        return "; ".join(f"vehicle {sysid}: {words}" for sysid, words in zip(names, told, strict=True) if words) or None
+
     def why_not(self, waited_s: float, said: Mapping[int, str]) -> str:
         """Words for an attempt that took too long: who, in what state, and what it said."""
         fleet, reasons = self._fleet, []

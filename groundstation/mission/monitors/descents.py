@@ -52,6 +52,7 @@ class Descents:
         off_m = norms((sight.pos_team_ned_m - self._from_ned_m)[:, :2])
         ended = lands & ~sight.airborne
         cut = lands & self._was_armed & ~fleet.armed & (height_m > self._above_m)
+        cut &= ~fleet.senders.in_doubt(now_ns)  # whose word "disarmed" is nobody knows; that there are two is told
         self._was_armed = fleet.armed.copy()
         for vehicle in self._tilted(lands & (tilt_deg > self._tilt_deg), now_ns):
             tilt = f"is tilted by {tilt_deg[vehicle]:.0f} degrees while it lands, limit {self._tilt_deg:g} degrees"

@@ -87,7 +87,9 @@ class ArmPhase(PhaseState):
         if now_ns - self.since_ns < _STREAM_FIRST_NS:
             return Step()
         limits = team.plan.spec.limits
-        problem = self.arming.started_anew() or self._blind(now_ns, limits.pose_lost_s)
+        problem = (
+            self.arming.started_anew() or self.arming.two_senders(now_ns) or self._blind(now_ns, limits.pose_lost_s)
+        )
         if problem is None and not self.arming.step(now_ns):
             if now_ns - self.since_ns < limits.arming_s * SECOND_NS:
                 return Step()
