@@ -138,7 +138,7 @@ class Spots:
     def _drop(self, vehicle: int, now_ns: int, scene: Scene) -> bool:
         """Whether one that cannot be steered may be told to land where it is."""
         at_m = scene.pos_ned_m[vehicle, :2]
-        if not np.isfinite(at_m).all():
+        if self._roster.told_to_land[vehicle] or not np.isfinite(at_m).all():
             return True
         waited_ns = self._waited_ns(vehicle, now_ns)
         who = self._columns.taken(vehicle, scene, at_m, but_higher_ones=True).in_the_way(at_m)

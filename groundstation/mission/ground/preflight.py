@@ -20,7 +20,7 @@ from groundstation.mission.flight.team_frame import TeamFrame
 from groundstation.mission.ground.check_table import CheckRow, check_rows
 from groundstation.mission.ground.checks import Checks
 from groundstation.mission.ground.origins import Origins
-from groundstation.mission.ground.speed_check import SpeedCheck
+from groundstation.mission.ground.still_check import MotionCheck
 from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
@@ -113,7 +113,7 @@ class Preflight:
         self._checked = [False] * plan.size
         self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
-        self._speeds = SpeedCheck(plan, station.fleet)
+        self._motion = MotionCheck(plan, station.fleet)
 
     def step(self, now_ns: int, said: Mapping[int, str], pos_team_ned_m: FloatArray) -> GroundState:
         """Asks for what is missing and looks at what is there.
@@ -129,7 +129,7 @@ class Preflight:
         off_m = self._frame.off_pad_m(pos_team_ned_m)
         drift_m = self._frame.drift_m(fleet, now_ns)
         pose_ns = self._frame.pose_ns(fleet)
-        self._speeds.look(now_ns, pos_team_ned_m, pose_ns)
+        self._motion.look(now_ns, pos_team_ned_m, pose_ns)
         # A place that is in doubt accuses nobody else.
         doubted = self._origins.doubted(now_ns)
         positions = np.where(doubted[:, None], np.nan, pos_team_ned_m)
@@ -176,7 +176,7 @@ class Preflight:
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)
                 or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), positions, state)
-                or self._speeds.words(vehicle)
+                or self._motion.words(vehicle)
                 or self.checks.waiting(vehicle, now_ns, positions)
             )
             held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]

@@ -21,6 +21,7 @@ from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.monitors.sinking import Sinking
 from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
@@ -50,21 +51,22 @@ class Board:
         blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
         wind: what is known of the wind.
         speeds: what is known of the errors of velocities.
+        resting: who says to move while it stands.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
-        self.speeds = PoorSpeeds(plan)
+        self.speeds, self.resting = PoorSpeeds(plan), Resting(plan)
         self.wind = Wind(plan, self.speeds)
         self._modes, self._following = Modes(plan), Following(plan, self.wind)
         self._contradictions = Contradictions(plan)
         self._monitors: tuple[Monitor, ...] = (
-            self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan), BatteryAge(plan),
-            self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following, Distance(plan),
-            Descents(plan, self.wind, self.speeds), self._modes, Sinking(plan, self._modes), LateTicks(plan),
-            self._contradictions,
+            self.resting, self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
+            BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following,
+            Distance(plan), Descents(plan, self.wind, self.speeds), self._modes, Sinking(plan, self._modes),
+            LateTicks(plan), self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
@@ -72,7 +74,7 @@ class Board:
     @property
     def hold(self) -> BoolArray:
         """Vehicles whose pose cannot be steered by at this moment; they are told to stand still, shape (n,)."""
-        return self._ages.hold | self._jumps.suspect
+        return self._ages.hold | self._jumps.suspect | self.resting.moves
 
     @property
     def foreign(self) -> BoolArray:
@@ -102,9 +104,17 @@ class Board:
             airborne: who flies, shape (n,).
             now_ns: time of the tick.
         """
-        trusted = self._jumps.take(poses, pose_ns, self.speeds.rms_m_s, now_ns)
-        self.speeds.take(poses, pose_ns, airborne & ~(self._jumps.suspect | self.blind), now_ns)
-        return trusted
+        self.resting.take(poses.pos_team_ned_m, airborne)
+        trusted = self._jumps.take(poses, pose_ns, self.speeds.rms_before_m_s, now_ns, airborne)
+        self.speeds.take(poses, pose_ns, airborne & ~(self._jumps.suspect | self._jumps.drifting | self.blind), now_ns)
+        return self.resting.trusted(trusted)
+
+    def may_stand_off_m(self, vehicle: int) -> tuple[float, float] | None:
+        """How far from its pad one may stand whose position is not to be trusted, and how far that has gone astray.
+
+        None for one whose position is as good as ever, or whose position is lost for another reason.
+        """
+        return self._jumps.may_stand_off_m(vehicle)
 
     def steady(self, poses: Poses) -> Poses:
         """Poses to steer by: with velocities of which is known what they are worth."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from groundstation.core.quick import between, every, norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.monitors.drifts import Astray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.links import LinkPlan
 from groundstation.mission.plan.plan import MissionPlan
@@ -33,6 +35,14 @@ _DENIED_S = 2.5  # two comparisons of local and global position, and some time f
 _LINK_SHARE = 0.8  # of pose_lost_s: a link that is silent is told before its vehicles are, one by one
 
 
+class _Off(NamedTuple):
+    """How far positions are from where velocities lead, how far they may be, and velocities jumped, shape (n,)."""
+
+    away_m: FloatArray
+    allowed_m: FloatArray
+    kick_m_s: FloatArray
+
+
 class PoseJump:
     """Positions that move otherwise than their velocities say: by a jump, or by a drift.
 
@@ -42,11 +52,16 @@ class PoseJump:
     it would lead the following positions astray.
 
     A velocity that has been poor for seconds leads astray by itself: there the limit is wider by what that explains.
+
+    Positions that two may be off against each other wander slowly: what parts from its velocity faster than they do has
+    begun to drift, long before the limit, and from then on nothing of it is forgotten. Of one that is lost its velocity
+    tells better where it is: a vehicle that lands follows its position, wherever that goes.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._limit_m, self._accel_m_s2 = plan.limits.pose_jump_m, plan.profile.acceleration_max_m_s2
+        self._astray = Astray(plan)
         self._apart_m: FloatArray = np.zeros((n, 3))
         # Of the last report that was believed; a suspect one changes none of it, however absurd.
         self._pos: FloatArray = np.full((n, 3), np.nan)
@@ -57,22 +72,22 @@ class PoseJump:
         self._lasts: BoolArray = np.zeros(n, dtype=np.bool_)
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
         self.suspect: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._away_m: FloatArray = np.zeros(n)
         self._silent_ns = round(plan.spec.limits.pose_age_s * SECOND_NS)
-        self._allowed_m: FloatArray = np.full(n, self._limit_m)
-        self._kick_m_s: FloatArray = np.zeros(n)
+        self._off = _Off(np.zeros(n), np.full(n, self._limit_m), np.zeros(n))
 
-    def take(self, poses: Poses, pose_ns: IntArray, vel_rms_m_s: FloatArray, now_ns: int) -> Poses:
+    def take(
+        self, poses: Poses, pose_ns: IntArray, vel_rms_m_s: FloatArray, now_ns: int, airborne: BoolArray | None = None
+    ) -> Poses:
         """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones.
 
         Args:
             poses: as reported.
             pose_ns: when each was measured, shape (n,).
-            vel_rms_m_s: root mean square of the error of velocities that are known to be poor, shape (n,); zero for
-                all others.
+            vel_rms_m_s: root mean square of the error of velocities that were known to be poor before, shape (n,); zero
+                for all others.
             now_ns: time of the tick.
+            airborne: who flies, shape (n,); everybody when left out.
         """
-        self._allowed_m = np.hypot(self._limit_m, _LED_ASTRAY_S * vel_rms_m_s)
         new = self._at_ns == NEVER
         passed_s = np.where(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
         moved = poses.pos_team_ned_m - self._pos - 0.5 * (self._vel + poses.vel_ned_m_s) * passed_s
@@ -81,12 +96,17 @@ class PoseJump:
         gap_s = np.where(new, 0.0, (pose_ns - self._pose_ns) / SECOND_NS)
         gap_s = np.where(gap_s > _GAP_S, np.minimum(gap_s, _GAP_MAX_S), 0.0)
         away_m = norms(apart_m)
-        away = ~(away_m <= self._allowed_m + 0.5 * self._accel_m_s2 * gap_s**2)
+        silent = now_ns - pose_ns > self._silent_ns
+        counts = ~silent & (gap_s == 0.0) & (True if airborne is None else airborne)
+        poor_m = _LED_ASTRAY_S * vel_rms_m_s
+        away_m = np.fmax(away_m, self._astray.take(poses, counts, away_m, poor_m, now_ns))
+        allowed_m = np.hypot(self._limit_m, poor_m)
+        away = ~(away_m <= allowed_m + 0.5 * self._accel_m_s2 * gap_s**2)
         kick_m_s = norms(poses.vel_ned_m_s - self._vel)
         passed_s = passed_s[:, 0]
         away |= ~(kick_m_s * passed_s <= 0.5 * self._limit_m + _KICK * self._accel_m_s2 * passed_s**2)
         # Of one that says nothing, nothing new contradicts its velocity: that it is silent is said elsewhere.
-        away &= now_ns - pose_ns <= self._silent_ns
+        away &= ~silent
         self._lasts = self._away(away, now_ns, round(_SUSPECT_S * SECOND_NS))
         self.suspect = away | self._told
         self._pose_ns = pose_ns
@@ -94,7 +114,8 @@ class PoseJump:
         self._apart_m[believed] = np.where((gap_s > 0.0)[:, None], 0.0, apart_m)[believed]
         self._pos[believed], self._vel[believed] = poses.pos_team_ned_m[believed], poses.vel_ned_m_s[believed]
         self._at_ns[believed] = now_ns
-        self._away_m, self._kick_m_s = away_m, kick_m_s
+        self._off = _Off(away_m, allowed_m, kick_m_s)
+        self._astray.lead_on(self._pos, self._vel, poses, self._told & ~silent, now_ns)
         if every(believed):
             return poses
         # It was told to stand still, and carries on for a moment.
@@ -106,16 +127,27 @@ class PoseJump:
             vel_ned_m_s=np.where(rows, 0.0, poses.vel_ned_m_s),
         )
 
+    @property
+    def drifting(self) -> BoolArray:
+        """Whose position parts from its velocity faster than positions wander, shape (n,)."""
+        return self._astray.drifts.drifting
+
+    def may_stand_off_m(self, vehicle: int) -> tuple[float, float] | None:
+        """See ``Board.may_stand_off_m``."""
+        return self._astray.may_stand_off_m(vehicle, lost=bool(self._told[vehicle]))
+
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
-        """Tells of those whose reports have not come back."""
-        for vehicle in (self._lasts & ~self._told & ours & ~sight.excused).nonzero()[0].tolist():
+        """Tells of those whose reports have not come back; of one that lands, as long as it is not down."""
+        for vehicle in (self._lasts & ~self._told & ours & (sight.airborne | ~sight.excused)).nonzero()[0].tolist():
             self._told[vehicle] = True
-            away_m = self._away_m[vehicle]
-            allowed_m = self._allowed_m[vehicle]
+            away_m, allowed_m, kick_m_s = (float(values[vehicle]) for values in self._off)
             what = f"its position is {away_m:.2f} m from where its velocity leads, limit {allowed_m:.2g} m"
             if away_m <= allowed_m:
-                what = f"its velocity has changed by {self._kick_m_s[vehicle]:.1f} m/s at once, more than a vehicle can"
-            yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
+                what = f"its velocity has changed by {kick_m_s:.1f} m/s at once, more than a vehicle can"
+            if sight.excused[vehicle]:
+                yield Finding(Reaction.FAILED, f"{what}; it lands by it, keep people away", (vehicle,), lost=True)
+            else:
+                yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
 
 
 class LinkSilence:

@@ -11,6 +11,7 @@ one that is wrong; a position that leaves a velocity that was good until then is
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -27,6 +28,7 @@ from groundstation.mission.timing import SECOND_NS
 
 _LASTS_S = 1.0
 _SWAY_DEVIATIONS = 2.0
+_BEFORE_NS, _BEFORE_EVERY_NS = 5 * SECOND_NS // 2, SECOND_NS // 2
 _FRESH_S = 0.3  # older positions are carried on by the very velocity that is judged
 
 
@@ -38,6 +40,7 @@ class PoorSpeeds:
         self._settle_s = plan.profile.lag_s + plan.profile.delay_s
         self._speeds = Speeds(plan.size)
         self._last_ns = NEVER
+        self._before: deque[tuple[int, FloatArray]] = deque()
         self._poor, self._hopeless = Lasting(plan.size, _LASTS_S), Lasting(plan.size, _LASTS_S)
 
     def take(self, poses: Poses, pose_ns: IntArray, counts: BoolArray, now_ns: int) -> None:
@@ -49,6 +52,10 @@ class PoorSpeeds:
         fresh = now_ns - pose_ns <= _FRESH_S * SECOND_NS
         counts = np.asarray(counts & fresh, dtype=np.bool_)
         self._speeds.take(poses.pos_team_ned_m, poses.vel_ned_m_s, passed_s, counts)
+        if not self._before or now_ns - self._before[-1][0] >= _BEFORE_EVERY_NS:
+            self._before.append((now_ns, self.rms_m_s))
+            while now_ns - self._before[0][0] > _BEFORE_NS:
+                self._before.popleft()
 
     @property
     def known_error_ned_m_s(self) -> FloatArray:
@@ -64,6 +71,13 @@ class PoorSpeeds:
     def rms_m_s(self) -> FloatArray:
         """The same as far as it is reckoned with: zero where velocities and positions agree, shape (n,)."""
         return np.asarray(self._speeds.share * self._speeds.rms_m_s)
+
+    @property
+    def rms_before_m_s(self) -> FloatArray:
+        """The least of it over the last seconds, shape (n,): what begins just now may be the position."""
+        if not self._before:
+            return np.zeros_like(self._speeds.rms_m_s)
+        return np.asarray(np.minimum.reduce([rms_m_s for _, rms_m_s in self._before]))
 
     @property
     def sway_m(self) -> float:

@@ -62,8 +62,23 @@ class _ComingDown(PhaseState):
         flying = team.standing.airborne(now_ns) & ~lost & ~team.roster.killed & ~up
         for text in still_flying(team.fleet, team.plan, flying, now_ns):
             abort(text)
+        self._tell_astray(lost)
         team.verdict.complete()
         return True
+
+    def _tell_astray(self, lost: BoolArray) -> None:
+        """Says how far from their pads those may stand whose positions have gone astray."""
+        team = self._team
+        for vehicle in np.flatnonzero(team.roster.ours & ~lost).tolist():
+            astray = team.board.may_stand_off_m(vehicle)
+            if astray is None:
+                continue
+            off_m, gone_m = astray
+            team.verdict.abort(
+                f"{team.name(vehicle)}: may stand up to {np.ceil(10.0 * off_m) / 10.0:.1f} m from its pad: its position"
+                f" has gone {gone_m:.1f} m that its velocity knows nothing of; look where it stands, and restart it on"
+                " its pad"
+            )
 
     def _tell_late(self, up: BoolArray, poses: Poses) -> None:
         """Says of those that are still up when nobody waits any longer what is left to do."""

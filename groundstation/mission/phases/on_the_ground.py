@@ -72,6 +72,7 @@ class ArmPhase(PhaseState):
     def __init__(self, team: Team, entry: Entry) -> None:
         super().__init__(team, entry)
         self.arming = Arming(team.plan, team.fleet, team.station.commands, team.standing, team.roster)
+        self._moved: dict[int, str] = {}
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""
@@ -84,11 +85,15 @@ class ArmPhase(PhaseState):
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Streams first, then asks for what is missing; roles are given when all are armed."""
         team = self._team
+        self._moved |= team.board.resting.while_arming(poses.pos_team_ned_m, now_ns)
         if now_ns - self.since_ns < _STREAM_FIRST_NS:
             return Step()
         limits = team.plan.spec.limits
         problem = (
-            self.arming.started_anew() or self.arming.two_senders(now_ns) or self._blind(now_ns, limits.pose_lost_s)
+            self.arming.started_anew()
+            or self.arming.two_senders(now_ns)
+            or self._blind(now_ns, limits.pose_lost_s)
+            or self._astray()
         )
         if problem is None and not self.arming.step(now_ns):
             if now_ns - self.since_ns < limits.arming_s * SECOND_NS:
@@ -100,6 +105,10 @@ class ArmPhase(PhaseState):
         team.formation.assign(team.preflight.checks.failsafe.roles)
         team.stance.take_off(now_ns)
         return Step(event=Event.ARMED)
+
+    def _astray(self) -> str | None:
+        """Words for those whose position moves while they stand, None where nobody's does."""
+        return "; ".join(f"{self._team.name(row)}: {words}" for row, words in self._moved.items()) or None
 
     def _blind(self, now_ns: int, limit_s: float) -> str | None:
         """Words for those whose position is lost while the team is arming, None where nobody's is."""

@@ -1,0 +1,75 @@
+"""Vehicles that stand, armed and not, and whose positions move all the same: before takeoff and after touchdown.
+
+One that has not taken off yet does not take off any more; of one that has landed it is told. Both count as standing
+where they came to rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from groundstation.core.quick import norms, some
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND
+from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.resting import Rest, still_limit_m
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.plan.plan import MissionPlan
+
+_LASTS_S = 0.3
+_LEAST_M = 0.3  # while motors run or have just run: lifting off and touching down they slide, before they tell
+
+
+class Resting:
+    """Watches those that stand, from arming on."""
+
+    def __init__(self, plan: MissionPlan) -> None:
+        n = plan.size
+        self._still_m = still_limit_m(plan)
+        self._limit_m = max(_LEAST_M, self._still_m)
+        self._rest, self._flown = Rest(n), np.zeros(n, dtype=np.bool_)
+        self._arming, self._lasting = Lasting(n, _LASTS_S), Lasting(n, _LASTS_S)
+        self._told: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    @property
+    def moves(self) -> BoolArray:
+        """Stand and say to be elsewhere, shape (n,): whatever setpoint follows from that is not sent."""
+        return np.asarray(self._rest.moved_m > self._limit_m)
+
+    def while_arming(self, pos_team_ned_m: FloatArray, now_ns: int) -> dict[int, str]:
+        """Takes positions of a tick before takeoff, shape (n, 3): everybody stands; returns what is wrong, by row."""
+        self._rest.take(pos_team_ned_m, np.ones(len(self._told), dtype=np.bool_))
+        moved_m = norms(self._rest.moved_ned_m)
+        return {
+            row: f"its position has moved by {moved_m[row]:.2f} m while the team was arming, limit"
+            f" {self._still_m:.2g} m; see to its GPS or motion capture, and restart it on its pad"
+            for row in self._arming(moved_m > self._still_m, now_ns)
+        }
+
+    def trusted(self, poses: Poses) -> Poses:
+        """Poses with those that are known to stand where they stand."""
+        if not some(self._told):
+            return poses
+        stands = self._told & np.isfinite(self._rest.place_ned_m).all(axis=1)
+        pos_ned_m = np.where(stands[:, None], self._rest.place_ned_m, poses.pos_team_ned_m)
+        return replace(poses, pos_team_ned_m=pos_ned_m)
+
+    def take(self, pos_team_ned_m: FloatArray, airborne: BoolArray) -> None:
+        """Takes positions of a tick in flight, as reported, shape (n, 3), and who flies, shape (n,)."""
+        self._rest.take(pos_team_ned_m, ~airborne)
+        self._flown |= airborne
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Keeps those on the ground that have not left it, and tells of those that have landed."""
+        stands = (sight.fleet.landed_state == LANDED_ON_GROUND) & ~sight.airborne & ours
+        for vehicle in self._lasting(stands & self.moves, sight.now_ns):
+            self._told[vehicle] = True
+            moved = f"its position has moved by {self._rest.moved_m[vehicle]:.2f} m while it stood"
+            what = f"{moved}, limit {self._limit_m:.2g} m"
+            if self._flown[vehicle]:
+                yield Finding(Reaction.FAILED, f"{what}, after it landed; see to its position", (vehicle,), lost=True)
+            else:
+                yield Finding(Reaction.LAND, f"{what}, before it took off; it stays there", (vehicle,), lost=True)
