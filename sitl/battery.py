@@ -28,11 +28,14 @@ class Battery:
 
     def drain(self, load: float, dt_s: float) -> None:
         """Runs for ``dt_s`` under a load in hovering powers (0 standing, 1 hovering)."""
-        self.left = max(self.left - ((load + 0.01) / self.endurance_s + self.extra_per_s) * dt_s, 0.0)
+        left = self.left - ((load + 0.01) / self.endurance_s + self.extra_per_s) * dt_s
+        self.left = left = left if left > 0.0 else 0.0
         self.current_a = (load + 0.01) * self.capacity_mah * 3.6 / self.endurance_s
         # open-circuit voltage of a LiPo cell, nearly flat between 20 and 90 percent, minus what the load takes
-        cell = 3.5 + 0.55 * self.left + 0.15 * max(self.left - 0.9, 0.0) * 10 - 0.4 * max(0.1 - self.left, 0.0) * 10
-        self.voltage_v = self.cells * (min(cell, 4.2) - 0.08 * load)
+        full, empty = left - 0.9, 0.1 - left
+        cell = 3.5 + 0.55 * left + 0.15 * (full if full > 0.0 else 0.0) * 10
+        cell -= 0.4 * (empty if empty > 0.0 else 0.0) * 10
+        self.voltage_v = self.cells * ((cell if cell < 4.2 else 4.2) - 0.08 * load)
 
     def percent(self) -> int:
         """Remaining charge as reported, 0 to 100."""

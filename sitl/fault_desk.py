@@ -147,7 +147,7 @@ class FaultDesk:
         if fault.kind == "reboot":
             self._reboot(i)
         elif fault.kind == "clock_jump":
-            self._state.clocks.offset_ns[i] += round(fault.number("seconds") * SECOND)
+            self._state.clocks.jump(i, round(fault.number("seconds") * SECOND))
         elif fault.kind == "battery_level":
             self._autopilots[i].battery.left = fault.number("percent") / 100.0
 

@@ -43,7 +43,7 @@ def yaw_ned_from_enu(yaw_rad: Array | float) -> Array:
     Returns:
         Same shape, within (-pi, pi].
     """
-    return wrap_pi(math.pi / 2.0 - np.asarray(yaw_rad, dtype=np.float64))
+    return math.pi - np.mod(math.pi - (math.pi / 2.0 - np.asarray(yaw_rad, dtype=np.float64)), 2.0 * math.pi)
 
 
 def wrap_pi(angle_rad: Array) -> Array:
@@ -65,7 +65,7 @@ def euler_from_thrust(up_enu: Array, yaw_ned_rad: Array) -> tuple[Array, Array]:
     # the body's z axis (down) in NED is minus the thrust: north -up[1], east -up[0], down up[2]; turned by -yaw
     forward = -up_enu[1] * c - up_enu[0] * s
     right = up_enu[1] * s - up_enu[0] * c
-    roll = -np.arcsin(np.clip(right, -1.0, 1.0))
+    roll = -np.arcsin(np.minimum(np.maximum(right, -1.0), 1.0))
     pitch = np.arctan2(forward, up_enu[2])
     return roll, pitch
 
@@ -76,14 +76,20 @@ def quat_from_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
     Returns:
         Shape (4, n), rows w x y z, w >= 0.
     """
-    half = np.stack([roll_rad, pitch_rad, yaw_rad]) * 0.5
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
+    half = np.empty((3, *np.shape(roll_rad)))
+    half[0], half[1], half[2] = roll_rad, pitch_rad, yaw_rad
+    half *= 0.5
+    cosine, sine = np.cos(half), np.sin(half)
+    cy, sy = cosine[2], sine[2]
+    cr_cp, sr_sp = cosine[0] * cosine[1], sine[0] * sine[1]
+    sr_cp, cr_sp = sine[0] * cosine[1], cosine[0] * sine[1]
     quat = np.empty((4, *np.shape(roll_rad)))
-    quat[0] = cr * cp * cy + sr * sp * sy
-    quat[1] = sr * cp * cy - cr * sp * sy
-    quat[2] = cr * sp * cy + sr * cp * sy
-    quat[3] = cr * cp * sy - sr * sp * cy
-    return np.where(quat[0] < 0.0, -quat, quat)
+    np.add(cr_cp * cy, sr_sp * sy, out=quat[0])
+    np.subtract(sr_cp * cy, cr_sp * sy, out=quat[1])
+    np.add(cr_sp * cy, sr_cp * sy, out=quat[2])
+    np.subtract(cr_cp * sy, sr_sp * cy, out=quat[3])
+    behind = quat[0] < 0.0
+    return np.where(behind, -quat, quat) if b"\1" in behind.tobytes() else quat
 
 
 def frd_from_ned(quat_ned_from_frd: Array, vec_ned: Array) -> Array:

@@ -78,12 +78,12 @@ def pilots_of(state: State, vehicles: IntArray) -> list[Pilot]:
 
 def times_ms(state: State, vehicles: IntArray) -> IntArray:
     """Time since power-up as the vehicles count it, ms."""
-    return np.asarray(state.own_time_ns()[vehicles] // 1_000_000)
+    return state.own_time_ns()[vehicles] // 1_000_000
 
 
 def times_us(state: State, vehicles: IntArray) -> IntArray:
     """The same in microseconds."""
-    return np.asarray(state.own_time_ns()[vehicles] // 1_000)
+    return state.own_time_ns()[vehicles] // 1_000
 
 
 @message(MESSAGES)
@@ -179,7 +179,7 @@ def _odometry(state: State, view: View, vehicles: IntArray) -> StructuredArray:
 
 def _number(state: State, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Replaces what is not a number by 0, for fields that are integers on the wire."""
-    return np.nan_to_num(values) if state.broken.invalid.any() else values
+    return np.nan_to_num(values) if b"\1" in state.broken.invalid.tobytes() else values
 
 
 def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float64]]:

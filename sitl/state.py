@@ -35,16 +35,33 @@ class Clocks:
         n = len(profiles)
         self.boot_ns = np.full(n, config.start_ns, dtype=np.int64)
         self.offset_ns = np.zeros(n, dtype=np.int64)
+        self._own_ns: tuple[int, NDArray[np.int64]] | None = None
         self._slow = np.array([1.0 - profile.manners.clock_rate for profile in profiles])
         self._drifts = bool(self._slow.any())
         self._unix_at_0_us = config.unix_start_us, config.start_ns
 
     def own_ns(self, now_ns: int) -> NDArray[np.int64]:
-        """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped."""
+        """Time since power-up as each vehicle counts it, shape (n,); never below 0, wherever its clock jumped.
+
+        Kept for the step, in which every message asks for it: not to be written.
+        """
+        if self._own_ns is not None and self._own_ns[0] == now_ns:
+            return self._own_ns[1]
         counted = now_ns - self.boot_ns
         if self._drifts:
             counted = counted - np.rint(counted * self._slow).astype(np.int64)
-        return np.asarray(np.maximum(counted + self.offset_ns, 0))
+        own_ns: NDArray[np.int64] = np.maximum(counted + self.offset_ns, 0)
+        self._own_ns = now_ns, own_ns
+        return own_ns
+
+    def start(self, index: int, now_ns: int) -> None:
+        """A vehicle is powered up."""
+        self.boot_ns[index], self.offset_ns[index], self._own_ns = now_ns, 0, None
+
+    def jump(self, index: int, by_ns: int) -> None:
+        """A vehicle's clock jumps."""
+        self.offset_ns[index] += by_ns
+        self._own_ns = None
 
     def unix_us(self, now_ns: int) -> int:
         """The date, microseconds."""
@@ -158,8 +175,7 @@ class State:
     def power_off(self, index: int) -> None:
         """Forgets what a vehicle loses with its power."""
         self.talking[index] = self.known.has_position[index] = self.known.has_origin[index] = False
-        self.clocks.boot_ns[index] = self.now_ns
-        self.clocks.offset_ns[index] = 0
+        self.clocks.start(index, self.now_ns)
         for name in self.streams.names:
             self.streams.set_interval(index, name, 0, self.now_ns)
 

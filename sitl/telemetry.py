@@ -44,9 +44,9 @@ class View:
         """Believed position in the world's frame, white part included, shape (3, n)."""
         state = self.state
         believed = state.dynamics.motion.pos_enu_m + state.estimator.pos_error + state.estimator.white()
-        if state.broken.frozen.any():
+        if b"\1" in state.broken.frozen.tobytes():
             believed = np.where(state.broken.frozen, state.broken.frozen_pos_enu_m, believed)
-        if state.broken.invalid.any():
+        if b"\1" in state.broken.invalid.tobytes():
             believed = np.where(state.broken.invalid, np.nan, believed)
         return np.asarray(believed)
 
@@ -55,9 +55,9 @@ class View:
         """Believed velocity, shape (3, n)."""
         state = self.state
         believed = state.dynamics.motion.vel_enu_m_s + state.estimator.vel_error
-        if state.broken.frozen.any():
+        if b"\1" in state.broken.frozen.tobytes():
             believed = np.where(state.broken.frozen, 0.0, believed)
-        if state.broken.invalid.any():
+        if b"\1" in state.broken.invalid.tobytes():
             believed = np.where(state.broken.invalid, np.nan, believed)
         return np.asarray(believed)
 
@@ -77,7 +77,7 @@ class View:
         dynamics, error = self.state.dynamics, self.state.estimator.att_error
         up = dynamics.motion.up_enu.copy()
         up[:2] += error[:2]
-        up /= np.sqrt((up * up).sum(axis=0))
+        up /= np.sqrt(np.add.reduce(up * up, axis=0))
         yaw = frames.yaw_ned_from_enu(dynamics.motion.yaw_enu_rad + error[2])
         roll, pitch = frames.euler_from_thrust(up, yaw)
         return roll, pitch, yaw

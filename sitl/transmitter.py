@@ -76,19 +76,21 @@ class Transmitter:
         """Makes one message type for some vehicles; returns how many were sent."""
         state = self._state
         message = self._messages[name]
-        able = state.talking[vehicles]
+        known = state.known
+        needed = [state.talking]
         if message.position:
-            able &= state.known.has_position[vehicles]
+            needed.append(known.has_position)
         elif message.origin:
-            able &= state.known.has_origin[vehicles]
+            needed.append(known.has_origin)
         if message.gps:
-            able &= state.known.has_gps[vehicles]
+            needed.append(known.has_gps)
         if name in state.broken.muted:
-            able &= ~state.broken.muted[name][vehicles]
+            needed.append(~state.broken.muted[name])
+        for able in needed:
+            if b"\0" in able.tobytes():  # somebody is not, mostly nobody
+                vehicles = vehicles[able[vehicles]]
         if message_id(name) > V1_LAST_ID:
-            able &= np.array([state.pilots[i].voice.encoder.version == 2 for i in vehicles])
-        if False in able.tolist():
-            vehicles = vehicles[able]
+            vehicles = vehicles[[state.pilots[i].voice.encoder.version == 2 for i in vehicles.tolist()]]
         who = vehicles.tolist()
         if not who:
             return 0

@@ -23,10 +23,10 @@ def _layout_of(msgid: int) -> Layout | None:
 
 
 @cache
-def _is_flat(msgid: int) -> bool:
-    """Whether a type has neither arrays nor texts, so that values and names pair up as they are."""
+def _flat(msgid: int) -> Layout | None:
+    """The layout of a type with neither arrays nor texts, so that values and names pair up as they are."""
     known = _layout_of(msgid)
-    return known is not None and not any(known.array_lengths)
+    return known if known is not None and not any(known.array_lengths) else None
 
 
 def unpack(frame: Frame) -> Fields | None:
@@ -35,13 +35,15 @@ def unpack(frame: Frame) -> Fields | None:
     Returns:
         The fields in wire units, extensions included (0 when absent); None for an id that the dialect does not know.
     """
+    flat = _flat(frame.msgid)
+    if flat is not None:
+        payload = frame.payload[: flat.size].ljust(flat.size, b"\0")
+        return dict(zip(flat.field_names, flat.packer.unpack(payload), strict=True))
     known = _layout_of(frame.msgid)
     if known is None:
         return None
     size = known.size
     values = known.packer.unpack(frame.payload[:size].ljust(size, b"\0"))
-    if _is_flat(frame.msgid):
-        return dict(zip(known.field_names, values, strict=True))
     fields: Fields = {}
     position = 0
     for name, length in zip(known.field_names, known.array_lengths, strict=True):

@@ -122,7 +122,6 @@ class World:
         while self.now_ns + step_ns <= now_ns:
             self.state.now_ns += step_ns
             self._step()
-        self._distances.measure()
         return sent
 
     @property

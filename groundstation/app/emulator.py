@@ -17,6 +17,7 @@ from groundstation.app.session import Session
 from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
+from groundstation.core.regions import SafetyRegion
 from groundstation.mission.ground.failsafe import make_failsafe
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
@@ -163,15 +164,26 @@ class TruthMeter:
     Attributes:
         formation_error_m: largest true |d_ij - d*_ij| over all pairs and all ticks of all holds; NaN before.
         move_error_m: the same of all moves.
-        min_clearance: smallest true clearance between two vehicles, one at least in the air, in the norm of the safety
-            region: at any time for a sphere, at any tick for others; infinite before.
     """
 
     def __init__(self, world: World) -> None:
         self.formation_error_m = float("nan")
         self.move_error_m = float("nan")
-        self.min_clearance = float("inf")
+        self._region: SafetyRegion | None = None
+        self._upright_clearance = float("inf")
         self._world = world
+
+    @property
+    def min_clearance(self) -> float:
+        """Smallest true clearance between two vehicles, one at least in the air, in the norm of the safety region.
+
+        At any time for a sphere, at any tick for others; infinite before.
+        """
+        if self._region is None:
+            return float("inf")
+        if self._region.by_distance:  # known at every physics step
+            return self._world.min_distance_airborne_m / self._region.radius_m
+        return self._upright_clearance
 
     def figures(self) -> dict[str, float]:
         """The figures that replace what the vehicles reported."""
@@ -184,12 +196,12 @@ class TruthMeter:
     def __call__(self, session: Session, _now_ns: int) -> None:
         """Looks at the world after a tick."""
         runner = session.runner
-        region = runner.plan.region
-        if region.by_distance:  # known at every physics step
-            self.min_clearance = self._world.min_distance_airborne_m / region.radius_m
-        else:
+        region = self._region = runner.plan.region
+        if not region.by_distance:  # else it is known at every physics step
             truth = self._world.truth
-            self.min_clearance = min(self.min_clearance, min_clearance(truth.pos_enu_m, region, flying=truth.airborne))
+            self._upright_clearance = min(
+                self._upright_clearance, min_clearance(truth.pos_enu_m, region, flying=truth.airborne)
+            )
         if runner.phase is Phase.HOLD:
             error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))

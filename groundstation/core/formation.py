@@ -7,6 +7,7 @@ knows a file: ``design.store`` reads and writes them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,11 +58,13 @@ class Formation:
             adjacency[i, j] = adjacency[j, i] = True
         return adjacency
 
-    @property
+    @cached_property
     def distances_m(self) -> FloatArray:
-        """Desired distances d*_ij between all pairs, shape (n, n), 0 on the diagonal."""
+        """Desired distances d*_ij between all pairs, shape (n, n), 0 on the diagonal; not to be written."""
         difference = self.points_enu_m[:, None] - self.points_enu_m[None, :]
-        return np.asarray(np.linalg.norm(difference, axis=-1), dtype=np.float64)
+        distances = np.asarray(np.linalg.norm(difference, axis=-1), dtype=np.float64)
+        distances.flags.writeable = False
+        return distances
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.quick import norms
+from groundstation.core.quick import finite_rows, norms, pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
@@ -114,10 +114,10 @@ def min_clearance(
 
 def _pairs(pos_m: FloatArray, counted: BoolArray | None, flying: BoolArray | None) -> tuple[IntArray, IntArray]:
     """Pairs of agents with known positions, both counted, one at least in the air where that is asked for."""
-    here: BoolArray = np.asarray(np.isfinite(pos_m).all(axis=1))
+    here: BoolArray = finite_rows(pos_m)
     if counted is not None:
         here = here & counted
-    first, second = np.triu_indices(len(pos_m), 1)
+    first, second = pairs(len(pos_m))
     wanted: BoolArray = np.asarray(here[first] & here[second])
     if flying is not None:
         wanted = wanted & (flying[first] | flying[second])

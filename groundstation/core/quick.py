@@ -6,10 +6,11 @@ Each gives to the bit what the usual way gives. A tick makes hundreds of such ca
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
 def some(mask: BoolArray) -> bool:
@@ -37,3 +38,25 @@ def between(values: FloatArray, low: FloatArray | float, high: FloatArray | floa
 def length(vector: FloatArray) -> float:
     """Length of one vector, shape (k,): ``np.linalg.norm(vector)``."""
     return math.sqrt(vector.dot(vector))
+
+
+def finite_rows(values: FloatArray) -> BoolArray:
+    """Which rows are numbers throughout: ``np.isfinite(values).all(axis=1)``, shape (k, m) to (k,)."""
+    finite: BoolArray = np.isfinite(values)
+    if every(finite):
+        return np.ones(len(finite), dtype=np.bool_)
+    return np.asarray(finite.all(axis=1))
+
+
+@cache
+def pairs(n: int) -> tuple[IntArray, IntArray]:
+    """All pairs of n, each once, the first before the second: ``np.triu_indices(n, 1)``; not to be written."""
+    first, second = np.triu_indices(n, 1)
+    first.flags.writeable = second.flags.writeable = False
+    return first, second
+
+
+def median(values: FloatArray) -> FloatArray:
+    """``np.median(values, axis=0)`` of numbers, shape (k, ...) to (...), k > 0."""
+    ordered, middle = np.sort(values, axis=0), len(values) // 2
+    return np.asarray(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2.0)

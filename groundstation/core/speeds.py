@@ -16,9 +16,11 @@ which of the two is right: b is the same for a position that drifts. Whoever ask
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from groundstation.core.quick import between, norms
+from groundstation.core.quick import between, finite_rows, norms
 from groundstation.core.types import BoolArray, FloatArray
 
 _RATE_1_S, _DAMPING = 3.0, 0.7
@@ -64,23 +66,24 @@ class Speeds:
             passed_s: since the tick before, > 0.
             counts: in the air, and reported of late, shape (n,).
         """
-        known = counts & np.isfinite(pos_ned_m).all(axis=1) & np.isfinite(vel_ned_m_s).all(axis=1)
+        known = counts & finite_rows(pos_ned_m) & finite_rows(vel_ned_m_s)
         self._gap_s = np.where(known, 0.0, self._gap_s + passed_s)
         fresh = known & ~np.isfinite(self._pos[:, 0])
-        on = (known & ~fresh)[:, None]
+        going = known & ~fresh
+        on = going[:, None]
         ahead = self._pos + passed_s * (vel_ned_m_s - self.error_ned_m_s)
         off = np.where(on, pos_ned_m - ahead, 0.0)
         pull = min(1.0, 2.0 * _DAMPING * _RATE_1_S * passed_s)
         error = self.error_ned_m_s - min(0.25, _RATE_1_S**2 * passed_s**2) / passed_s * off
-        error = error * np.exp(-passed_s / _FORGETS_S)
+        error = error * math.exp(-passed_s / _FORGETS_S)
         size = norms(error)[..., None]
         error = error * np.minimum(1.0, _MOST_M_S / np.maximum(size, 1e-12))
         self.error_ned_m_s = np.where(on, error, self.error_ned_m_s)
         self._pos = np.where(fresh[:, None], pos_ned_m, np.where(on, ahead + pull * off, self._pos))
         # Plain means at first, then those of the last seconds.
-        self._counted_s = np.where(on[:, 0], self._counted_s + passed_s, self._counted_s)
+        self._counted_s = np.where(going, self._counted_s + passed_s, self._counted_s)
         share = passed_s / between(self._counted_s, passed_s, _OVER_S)
-        self._square += np.where(on[:, 0], share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
+        self._square += np.where(going, share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
         self.forget(self._gap_s > _GAP_S)
         self.rms_m_s = np.where(self._counted_s >= _ENOUGH_S, np.sqrt(self._square), 0.0)
         self.share = between((self.rms_m_s - AGREES_M_S) / (DISAGREES_M_S - AGREES_M_S), 0.0, 1.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import every
+from groundstation.core.quick import every, finite_rows
 from groundstation.core.types import BoolArray, FloatArray
 
 _NOBODY: FloatArray = np.zeros((0, 0))
@@ -99,6 +99,7 @@ def local_views(
     vel_ned_m_s: FloatArray,
     quat_ned_from_frd: FloatArray,
     sensed: BoolArray,
+    rot_ned_from_flu: FloatArray | None = None,
 ) -> LocalViews:
     """Builds every agent's local view.
 
@@ -107,6 +108,7 @@ def local_views(
         vel_ned_m_s: velocities, shape (n, 3), NED; NaN rows are unknown.
         quat_ned_from_frd: attitudes w x y z, shape (n, 4).
         sensed: agent i can measure agent j, shape (n, n); the diagonal is ignored.
+        rot_ned_from_flu: `frames.rot_ned_from_flu` of the attitudes, where it is known already, shape (n, 3, 3).
 
     Returns:
         Views of all n agents. An agent whose position is unknown sees nobody and is seen by nobody.
@@ -122,12 +124,12 @@ def local_views(
         )
     if sensed.shape != (n, n):
         raise ValueError(f"sensed has shape {sensed.shape}, expected ({n}, {n})")
-    known = np.asarray(np.isfinite(pos_team_ned_m).all(axis=1), dtype=np.bool_)
+    known = finite_rows(pos_team_ned_m)
     visible = np.asarray(sensed & known[None, :] & known[:, None], dtype=np.bool_)
-    np.fill_diagonal(visible, False)
-    rot = frames.rot_ned_from_flu(quat_ned_from_frd)
+    visible.ravel()[:: n + 1] = False  # the diagonal
+    rot = frames.rot_ned_from_flu(quat_ned_from_frd) if rot_ned_from_flu is None else rot_ned_from_flu
     # Positions and velocities go through the rotation together: half the calls.
-    state = np.stack([pos_team_ned_m, vel_ned_m_s])
+    state = np.array([pos_team_ned_m, vel_ned_m_s])
     relative = state[:, None, :, :] - state[:, :, None, :]
     relative[:, ~visible] = np.nan
     rel_flu = frames.rotate_back(rot[:, None], relative)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from groundstation.core.quick import between, length, norms
+from groundstation.core.quick import finite_rows, length, median, norms
 from groundstation.core.types import BoolArray, FloatArray
 
 GUST_TAU_S = (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -144,6 +144,7 @@ _OWN_SHARE = 0.25  # of what a vehicle's own motion costs that is not known well
 _LEVEL_M_S2 = 0.06  # standard deviation of what looks like a push and is an attitude 0.35 degrees off
 _SHORTFALL = 0.8  # share of gusts of some 2 s that comes through, of which smoothing and the running mean take the rest
 _GRAVITY_M_S2 = 9.80665
+_LEVEL = np.array([1.0, 1.0, 0.0])
 
 
 class WindEstimate:
@@ -171,6 +172,8 @@ class WindEstimate:
         self._drag = np.array([frame.drag_1_s for frame in frames])[:, None]
         self._push_lag_s = np.array([frame.push_lag_s for frame in frames])[:, None]
         self._settle_s = np.array([frame.settle_s for frame in frames])[:, None]
+        self._passed_s = -1.0
+        self._pace(0.0)
         self._age_s: FloatArray = np.zeros(n)
         self._vel, self._lean, self._model, self._own = (np.zeros((n, 3)) for _ in range(4))
         self._held, self._slow = np.zeros((n, 3)), np.zeros((n, 3))
@@ -198,15 +201,17 @@ class WindEstimate:
             sent_ned_m_s: commanded, shape (n, 3).
             counts: flies, is steered, and its pose can be believed, shape (n,); the others begin anew.
         """
-        counts = counts & np.isfinite(vel_ned_m_s).all(axis=1) & (down_ned[:, 2] > 0.2)
-        lean = np.where(counts[:, None], -_GRAVITY_M_S2 * down_ned / np.maximum(down_ned[:, 2:], 0.2), 0.0)
-        vel = np.where(counts[:, None], vel_ned_m_s, 0.0)
+        counts = counts & finite_rows(vel_ned_m_s) & (down_ned[:, 2] > 0.2)
+        here = counts[:, None]
+        lean = np.where(here, -_GRAVITY_M_S2 * down_ned / np.maximum(down_ned[:, 2:], 0.2), 0.0)
+        vel = np.where(here, vel_ned_m_s, 0.0)
         lean[:, 2] = vel[:, 2] = 0.0
-        sent = np.where(counts[:, None], sent_ned_m_s, 0.0) * np.array([1.0, 1.0, 0.0])
+        sent = np.where(here, sent_ned_m_s, 0.0) * _LEVEL
         new = (~counts | (self._age_s == 0.0))[:, None]
         self._age_s = np.where(counts, self._age_s + passed_s, 0.0)
         step = min(passed_s / _SMOOTH_S, 1.0)
-        self._model = np.where(new, vel, self._model + _share(passed_s, self._lag_s) * (sent - self._model))
+        self._pace(passed_s)
+        self._model = np.where(new, vel, self._model + self._lag_share * (sent - self._model))
         self._own = np.where(new, vel, self._own + step * (self._model - self._own))
         self._lean = np.where(new, lean, self._lean + step * (lean - self._lean))
         self._vel = np.where(new, vel, self._vel + step * (vel - self._vel))
@@ -215,25 +220,33 @@ class WindEstimate:
         unsure = _OWN_SHARE * self._drag * norms(self._own)[..., None]
         push = push * np.maximum(1.0 - unsure / np.maximum(size, 1e-9), 0.0)
         self.push_m_s2 = np.where(new, 0.0, push)
-        self._expect(passed_s, new)
+        self._expect(new)
         self._count(passed_s, counts)
 
-    def _expect(self, passed_s: float, new: BoolArray) -> None:
+    def _pace(self, passed_s: float) -> None:
+        """How far first-order lags go in this time; ticks are as long as each other, mostly."""
+        if passed_s != self._passed_s:
+            self._passed_s = passed_s
+            self._lag_share, self._settle_share = _share(passed_s, self._lag_s), _share(passed_s, self._settle_s)
+            self._push_share = _share(passed_s, self._push_lag_s)
+
+    def _expect(self, new: BoolArray) -> None:
         """What the push makes of a velocity loop: at once, less what its integral holds against by now."""
-        held = self._held + _share(passed_s, self._settle_s) * (self.push_m_s2 - self._held)
+        held = self._held + self._settle_share * (self.push_m_s2 - self._held)
         self._held = np.where(new, 0.0, held)
         target = self._push_lag_s * (self.push_m_s2 - self._held)
-        expected = self.expected_m_s + _share(passed_s, self._push_lag_s) * (target - self.expected_m_s)
+        expected = self.expected_m_s + self._push_share * (target - self.expected_m_s)
         self.expected_m_s = np.where(new, 0.0, expected)
 
     def _count(self, passed_s: float, counts: BoolArray) -> None:
         """Mean and spread of the pushes, and the wind that they are made by."""
         age_s = np.maximum(self._age_s - _NEW_S, 0.0)
         old = age_s > 0.0
-        gain = np.where(old, passed_s / between(age_s, max(passed_s, 1e-9), _MEAN_S), 0.0)[:, None]
+        since_s = np.maximum(age_s, max(passed_s, 1e-9))
+        gain = np.where(old, passed_s / np.minimum(since_s, _MEAN_S), 0.0)[:, None]
         self._slow = np.where(old[:, None], self._slow + gain * (self.push_m_s2 - self._slow), 0.0)
         rest = ((self.push_m_s2 - self._slow) ** 2).sum(axis=1) / 2.0
-        gain = np.where(old, passed_s / between(age_s, max(passed_s, 1e-9), _SPREAD_S), 0.0)
+        gain = np.where(old, passed_s / np.minimum(since_s, _SPREAD_S), 0.0)
         self._square = np.where(old, self._square + gain * (rest - self._square), 0.0)
         seen = (counts & (age_s >= _KNOWN_S)).nonzero()[0]
         self.known = bool(len(seen))
@@ -242,13 +255,13 @@ class WindEstimate:
             return
         winds = [self._frames[i].air_m_s(self._slow[i]) for i in seen]
         # One vehicle that is odd makes no weather.
-        self.mean_ned_m_s = np.median(winds, axis=0)
+        self.mean_ned_m_s = median(np.array(winds))
         mean_m_s = length(self.mean_ned_m_s)
         gusts = [
             max(float(self._square[i]) - _LEVEL_M_S2**2, 0.0) / self._frames[i].slope_1_s(0.75 * mean_m_s) ** 2
             for i in seen
         ]
-        self.gust_m_s = float(np.sqrt(np.median(gusts))) / _SHORTFALL
+        self.gust_m_s = math.sqrt(float(median(np.array(gusts)))) / _SHORTFALL
 
 
 def _share(passed_s: float, time_s: FloatArray) -> FloatArray:

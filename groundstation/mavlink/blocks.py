@@ -143,9 +143,8 @@ class Block:
         """
         msgid = self.msgid if among is None else self.msgid[among]
         batches = []
-        ids, first = np.unique(np.minimum(msgid, _ID_MAX).astype(np.uint16), return_index=True)
         known = layouts_by_id()
-        for number in ids[np.argsort(first)].tolist():
+        for number in dict.fromkeys(msgid.tolist()):  # in the order in which they first appear
             shape = known.get(number)
             if shape is None or (wanted is not None and number not in wanted):
                 continue
@@ -154,7 +153,8 @@ class Block:
                 rows = among[rows]
             values = self._window(shape.size)[self.payload[rows]]
             size = self.payload_size[rows]
-            least, most = int(size.min()), int(size.max())
+            sizes = size.tolist()
+            least, most = min(sizes), max(sizes)
             if least < shape.size:  # the rest was cut off, or never sent: it reads as zeros
                 raw = values.view(np.uint8).reshape(len(rows), shape.size)
                 raw[:, most:] = 0
@@ -167,7 +167,7 @@ class Block:
     def _window(self, size: int) -> NDArray[np.void]:
         """Pieces of a size that begin at every byte of the buffer; a view."""
         count = len(self.data) - size + 1
-        return np.ndarray((count,), dtype=f"V{size}", buffer=self.data, strides=(1,))
+        return np.ndarray((count,), dtype=_void(size), buffer=self.data, strides=(1,))
 
 
 class Arrivals:
@@ -338,6 +338,11 @@ def _one_behind_the_other(begins: list[int], ends: list[int]) -> list[int]:
             taken.append(number)
             free = end
     return taken
+
+
+@cache
+def _void(size: int) -> np.dtype[np.void]:
+    return np.dtype(f"V{size}")
 
 
 @cache

@@ -149,11 +149,14 @@ class Clocks:
             message bears no time.
         """
         half_ms_ns = 500_000  # whole milliseconds are cut off, not rounded
-        since_ns = t_rx_ns - self.at_ns[row]
-        offset_ns = self.offset_ns[row] + np.rint(self.rate[row] * since_ns).astype(np.int64)
+        offset_ns = self.offset_ns[row]
+        if np.count_nonzero(self.rate):
+            offset_ns = offset_ns + np.rint(self.rate[row] * (t_rx_ns - self.at_ns[row])).astype(np.int64)
         mapped = boot_ms * 1_000_000 + half_ms_ns - offset_ns
         # TIMESYNC counts on when time_boot_ms begins again.
-        mapped += np.rint((t_rx_ns - mapped) / (_WRAP_MS * 1e6)).astype(np.int64) * (_WRAP_MS * 1_000_000)
+        turns = np.rint((t_rx_ns - mapped) / (_WRAP_MS * 1e6))
+        if np.count_nonzero(turns):
+            mapped += turns.astype(np.int64) * (_WRAP_MS * 1_000_000)
         measured_ns = np.where(self.known[row] & (boot_ms > 0), np.minimum(mapped, t_rx_ns), t_rx_ns)
         self._lag_ns[row] = t_rx_ns - measured_ns
         return measured_ns
@@ -225,10 +228,11 @@ class BootTimes:
             Which of them are news, shape (k,), and the vehicles that have started anew.
         """
         fresh: BoolArray = np.ones(len(row), dtype=np.bool_)
-        first = self._last_ms[row] < 0
+        last_ms = self._last_ms[row]
         most_ms = (t_rx_ns - self._last_rx_ns[row]) // 1_000_000 + _AHEAD_MS
-        gone_ms = boot_ms - self._last_ms[row]
-        plain = every(first | ((gone_ms >= 0) & (gone_ms <= most_ms)))
+        gone_ms = boot_ms - last_ms
+        goes_on = (gone_ms >= 0) & (gone_ms <= most_ms)
+        plain = every(goes_on) or every(goes_on | (last_ms < 0))  # or it is the first one
         if plain and not np.count_nonzero(self._back) and len(set(row.tolist())) == len(row):
             self._last_ms[row], self._last_rx_ns[row] = boot_ms, t_rx_ns
             return fresh, []

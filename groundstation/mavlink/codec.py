@@ -26,6 +26,7 @@ from groundstation.mavlink.layouts import (
     Layout,
     StructuredArray,
     crc_extra_bytes,
+    field_offsets,
     layout,
     layouts_by_id,
     message_id,
@@ -60,6 +61,7 @@ __all__ = [
     "Splitters",
     "StructuredArray",
     "blank",
+    "columns",
     "decode",
     "encode_batch",
     "encode_rows",
@@ -113,6 +115,19 @@ def flagged(raw: bytes, *, signed: bool) -> bytes:
     body = raw[1:2] + bytes((flags,)) + raw[3:body_end]
     checksum: int = crc16.mcrf4xx(body + extra)
     return raw[:1] + body + checksum.to_bytes(2, "little")
+
+
+def columns(values: StructuredArray, first: str, count: int) -> NDArray[np.generic]:
+    """Fields of a number type that lie one behind the other, as columns of one array, shape (k, count); a view.
+
+    Args:
+        values: of a message type, shape (k,), one row behind the other.
+        first: name of the first field.
+        count: of fields, all of them of the type of the first.
+    """
+    kind, offset = values.dtype[first], field_offsets(values.dtype)[first]
+    octets = values.view(np.uint8).reshape(len(values), values.dtype.itemsize)
+    return octets[:, offset : offset + count * kind.itemsize].view(kind)
 
 
 def decode(frames: Sequence[Frame]) -> list[Batch]:
@@ -271,6 +286,9 @@ def blank(name: str, count: int) -> StructuredArray:
     return np.zeros(count, dtype=layout(name).dtype)
 
 
+_HEAD, _CHECKSUM = struct.Struct("<6B").pack, struct.Struct("<H").pack
+
+
 def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]) -> list[bytes]:
     """Encodes many messages of one type.
 
@@ -290,19 +308,22 @@ def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]
         raise ValueError(f"{name}: {len(values)} rows of {values.dtype} for {len(encoders)} encoders")
     if len(values) >= _FEW and encoders.count(encoders[0]) == len(encoders) and encoders[0].version == MAVLINK_2:
         return encode_rows(name, values, encoders[0])
-    joined, size = values.tobytes(), shape.size
-    payloads = (joined[start : start + size] for start in range(0, len(joined), size))
-    if any(encoder.version != MAVLINK_2 for encoder in encoders):
-        return [encoder.frame(shape, payload) for encoder, payload in zip(encoders, payloads, strict=True)]
-    # As ``Encoder.frame`` does it, without a call for each.
+    joined, size, position = values.tobytes(), shape.size, 0
     msgid, extra = shape.msgid.to_bytes(3, "little"), bytes((shape.crc_extra,))
     frames = []
-    for encoder, payload in zip(encoders, payloads, strict=True):
-        cut, seq = payload.rstrip(b"\0") or b"\0", encoder.seq
+    for encoder in encoders:
+        payload = joined[position : position + size]
+        position += size
+        if encoder.version != MAVLINK_2:
+            frames.append(encoder.frame(shape, payload))
+            continue
+        # As ``Encoder.frame`` does it, without a call for each.
+        if not payload[-1]:
+            payload = payload.rstrip(b"\0") or b"\0"
+        seq = encoder.seq
         encoder.seq = (seq + 1) & 0xFF
-        body = bytes((len(cut), 0, 0, seq, encoder.sysid, encoder.compid)) + msgid + cut
-        checksum: int = crc16.mcrf4xx(body + extra)
-        frames.append(b"\xfd" + body + checksum.to_bytes(2, "little"))
+        body = _HEAD(len(payload), 0, 0, seq, encoder.sysid, encoder.compid) + msgid + payload
+        frames.append(b"\xfd" + body + _CHECKSUM(crc16.mcrf4xx(body + extra)))
     return frames
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ class Layout:
     field_names: tuple[str, ...]
     array_lengths: tuple[int, ...]
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Payload size in bytes with nothing cut off."""
         return self.packer.size
@@ -60,6 +60,12 @@ class Layout:
         if self.dtype.fields is None:
             raise KeyError(field)
         return self.dtype.fields[field][1]
+
+
+@cache
+def field_offsets(dtype: np.dtype[np.void]) -> dict[str, int]:
+    """At which byte of a row each field lies."""
+    return {name: int(place[1]) for name, place in (dtype.fields or {}).items()}
 
 
 @cache

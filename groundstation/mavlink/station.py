@@ -99,8 +99,12 @@ class Station:
     def take_block(self, block: Block) -> None:
         """The same for many datagrams."""
         where = block.datagrams
-        for link in set(where.link.tolist()):
-            self.bytes_received[link] += int(np.diff(where.offsets)[where.link == link].sum())
+        links = set(where.link.tolist())
+        for link in links:
+            many = len(links) > 1
+            self.bytes_received[link] += (
+                int(np.diff(where.offsets)[where.link == link].sum()) if many else int(where.offsets[-1])
+            )
         noise = block.noise
         if noise:
             self.fleet.counts["bytes that were no frame"] += noise

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.core import frames
-from groundstation.core.quick import every, norms, some
+from groundstation.core.quick import every, finite_rows, norms, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.clocks import BootTimes, Clocks
-from groundstation.mavlink.codec import Batch, Frame, decode, layout, message_id, message_name
+from groundstation.mavlink.codec import Batch, Frame, columns, decode, layout, message_id, message_name
 from groundstation.mavlink.kinds import TYPE_GCS, Kind, kind_of
 from groundstation.mavlink.params import ParamValue
 from groundstation.mavlink.senders import Senders
@@ -533,11 +533,9 @@ class Fleet:
         self.prearm_ok[vehicle] = False
 
     def _local_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
-        values = batch.values
-        np.add.at(self.seen["LOCAL_POSITION_NED"], row, 1)
-        position = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
-        velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1).astype(np.float64)
-        number: BoolArray = np.asarray(np.isfinite(np.concatenate([position, velocity], axis=1)).all(axis=1))
+        self.seen["LOCAL_POSITION_NED"] += np.bincount(row, minlength=len(self))
+        both = columns(batch.values, "x", 6).astype(np.float64)
+        position, velocity, number = both[:, :3], both[:, 3:], finite_rows(both)
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid: BoolArray = number & fresh
         self._compare_places(position, velocity, row, t_ns, number)
@@ -554,6 +552,8 @@ class Fleet:
     ) -> None:
         """Looks for positions that are not on the way of the one before: those of one vehicle are, late ones too."""
         away = norms(position - self.pos_local_ned_m[row])
+        if not some(away > _TWO_PLACES_M):
+            return
         speed = norms(velocity) + norms(self.vel_ned_m_s[row])
         soon = t_ns - self.pose_ns[row] < _FRESH_NS
         for k in (number & soon & (away > _TWO_PLACES_M + speed)).nonzero()[0].tolist():
@@ -561,11 +561,11 @@ class Fleet:
 
     def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
         values = batch.values
-        np.add.at(self.seen["GLOBAL_POSITION_INT"], row, 1)
+        self.seen["GLOBAL_POSITION_INT"] += np.bincount(row, minlength=len(self))
         fresh, measured_ns = self._when(self._place_times, batch, row, t_ns)
         valid: BoolArray = fresh & _on_earth(values["lat"], values["lon"])
         place = _place(values["lat"], values["lon"], values["alt"])
-        velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1) * 0.01
+        velocity = columns(values, "vx", 3).astype(np.float64) * 0.01
         self.place_deg_m[row[valid]] = place[valid]
         self.place_vel_ned_m_s[row[valid]] = velocity[valid]
         self.place_ns[row[valid]] = measured_ns[valid]
@@ -614,9 +614,8 @@ class Fleet:
         return now_ns - int(self.origin_moved_ns[vehicle]) < _ORIGINS_NS
 
     def _attitude_quaternion(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
-        values = batch.values
-        np.add.at(self.seen["ATTITUDE_QUATERNION"], row, 1)
-        quat = np.stack([values["q1"], values["q2"], values["q3"], values["q4"]], axis=1).astype(np.float64)
+        self.seen["ATTITUDE_QUATERNION"] += np.bincount(row, minlength=len(self))
+        quat = columns(batch.values, "q1", 4).astype(np.float64)
         norm = norms(quat)
         rotation = np.isfinite(norm) & (np.abs(norm - 1.0) < 0.05)
         fresh, measured_ns = self._when(self._attitude_times, batch, row, t_ns)
@@ -633,7 +632,7 @@ class Fleet:
     def _attitude_euler(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         """Takes attitudes from those who send no quaternions."""
         values = batch.values
-        np.add.at(self.seen["ATTITUDE"], row, 1)
+        self.seen["ATTITUDE"] += np.bincount(row, minlength=len(self))
         needed = t_ns - self._quaternion_ns[row] > _QUATERNION_OLD_NS
         if not some(needed):
             return
@@ -726,7 +725,9 @@ _HANDLED_IDS = frozenset(message_id(name) for name in _HANDLERS)
 
 def _place(lat_e7: NDArray[np.int32], lon_e7: NDArray[np.int32], alt_mm: NDArray[np.int32]) -> FloatArray:
     """Latitude and longitude in degrees and height in metres, shape (k, 3)."""
-    return np.stack([lat_e7 * 1e-7, lon_e7 * 1e-7, alt_mm * 1e-3], axis=1)
+    place: FloatArray = np.empty((len(lat_e7), 3))
+    place[:, 0], place[:, 1], place[:, 2] = lat_e7 * 1e-7, lon_e7 * 1e-7, alt_mm * 1e-3
+    return place
 
 
 def _on_earth(lat_e7: NDArray[np.int32], lon_e7: NDArray[np.int32]) -> BoolArray:

@@ -17,7 +17,7 @@ from groundstation.core.formation import Formation
 from groundstation.core.gridlock import GridlockParams, Gridlocks, Sensed
 from groundstation.core.metrics import formation_error_m, free_scale_error_m, vertical_orientation
 from groundstation.core.places import own_places
-from groundstation.core.quick import some
+from groundstation.core.quick import finite_rows, some
 from groundstation.core.reduction import task_for_those_left
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.flight.guidance import Course
@@ -218,7 +218,7 @@ class FormationFlight:
             RuntimeError: roles were never assigned, or no step was begun.
         """
         absent = np.zeros(self._plan.size, dtype=np.bool_) if absent is None else absent
-        absent = absent | ~np.isfinite(poses.pos_team_ned_m).all(axis=1)
+        absent = absent | ~finite_rows(poses.pos_team_ned_m)
         doing, members = self._doing, self._roster.in_formation
         if doing is None:
             raise RuntimeError("formation flight without a step")
@@ -278,7 +278,7 @@ class FormationFlight:
         detours = self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s))
         setpoints = self._helm.to_targets(poses, target_ned_m, detours)
         to_goal_enu_m = frames.enu_from_ned(target_ned_m - poses.pos_team_ned_m)
-        absent = absent | ~np.isfinite(poses.pos_team_ned_m).all(axis=1)
+        absent = absent | ~finite_rows(poses.pos_team_ned_m)
         self._get_out(setpoints.sensed, absent, to_goal_enu_m)
         return setpoints.vel_ned_m_s
 

@@ -124,6 +124,7 @@ class Guide:
         self._own_avoidance = (
             OwnAvoidance(f"avoidance {own[AVOIDANCE].use}", own[AVOIDANCE].make(), ids) if AVOIDANCE in own else None
         )
+        self._everyone: IntArray = np.tile(np.arange(plan.size), (plan.size, 1) if plan.size < _MANY else (1, 1))
         self._fleeing = Fleeing(plan, self._damper.radius_m + self._damper.margin_m)
 
     def take_words(self) -> list[str]:
@@ -237,10 +238,16 @@ class Guide:
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
         """What each agent sees: its neighbours, and whoever is near enough to hit."""
-        everybody = np.broadcast_to(np.arange(self._plan.size), neighbours.shape)
+        everybody = self._everyone
         offset_ned, under = self._shown(poses, everybody)
         near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_of(poses) ** 2
-        views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours | near)
+        views = local_views(
+            poses.pos_team_ned_m,
+            poses.vel_ned_m_s,
+            poses.quat_ned_from_frd,
+            neighbours | near,
+            poses.rot_ned_from_flu,
+        )
         return self._with_obstacles(poses, views, everybody, offset_ned, under)
 
     def _near_views(self, poses: Poses) -> tuple[LocalViews, IntArray]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import length, norms
+from groundstation.core.quick import every, finite_rows, length, norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
@@ -51,6 +51,7 @@ class Wind:
         # A vehicle that hangs half a degree askew looks as if it leant into a wind.
         self._unsure_m_s = _LEVEL_M_S2 / plan.profile.airframe.air_1_s
         self._last_ns = 0
+        self._felt: tuple[FloatArray, float, float] | None = None
         self._near, self._beyond = Lasting(1, _LASTS_S), Lasting(1, _LASTS_S)
 
     @property
@@ -63,8 +64,11 @@ class Wind:
     @property
     def _gust_m_s(self) -> float:
         """Gusts as they are felt, less what poor velocities look like: a vehicle leans to mend what is no motion."""
-        shaken_m_s = _SHAKEN_LOOKS * float(np.sqrt(np.mean(self._speeds.rms_m_s**2)))
-        return math.sqrt(max(self.estimate.gust_m_s**2 - shaken_m_s**2, 0.0))
+        told, felt_m_s = self._speeds.told_error_m_s, self.estimate.gust_m_s
+        if self._felt is None or self._felt[0] is not told or self._felt[1] != felt_m_s:  # several ask in a tick
+            shaken_m_s = _SHAKEN_LOOKS * float(np.sqrt(np.mean(self._speeds.rms_m_s**2)))
+            self._felt = told, felt_m_s, math.sqrt(max(felt_m_s**2 - shaken_m_s**2, 0.0))
+        return self._felt[2]
 
     @property
     def sway_m(self) -> float:
@@ -87,10 +91,10 @@ class Wind:
         self._last_ns = sight.now_ns
         counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind & self._leans
         quat = sight.fleet.quat_ned_from_frd
-        leans = np.asarray(np.isfinite(quat).all(axis=1))  # who was never heard has no attitude
+        leans: BoolArray = finite_rows(quat)  # who was never heard has no attitude
         counts &= leans
-        level = np.where(leans[:, None], quat, np.array([1.0, 0.0, 0.0, 0.0]))
-        down_ned = frames.rotate(frames.rot_ned_from_frd(level), np.tile([0.0, 0.0, 1.0], (len(ours), 1)))
+        level = quat if every(leans) else np.where(leans[:, None], quat, np.array([1.0, 0.0, 0.0, 0.0]))
+        down_ned = frames.rot_ned_from_frd(level)[..., 2]
         # A vehicle whose velocity is wrong leans to what it takes for its velocity, and that is no wind.
         moves_m_s, told_m_s = (vel - sight.vel_error_ned_m_s for vel in (sight.vel_ned_m_s, sight.sent_ned_m_s))
         self.estimate.step(passed_s, moves_m_s, down_ned, told_m_s, counts)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from math import isfinite
 
 from sitl.setpoints import BODY_NED, LOCAL_NED, Setpoint, heading, turned
 from sitl.wire import Fields
@@ -21,19 +21,18 @@ def read_px4(fields: Fields, t_ns: int, origin_enu_m: Sequence[float], yaw_enu_r
     frame, mask = fields["coordinate_frame"], fields["type_mask"]
     if frame not in (LOCAL_NED, BODY_NED):
         raise ValueError(f"coordinate frame {frame} unsupported")
-    north, east, down = (
-        None if mask & (8 << axis) or not math.isfinite(fields[name]) else fields[name]
-        for axis, name in enumerate(("vx", "vy", "vz"))
-    )
-    x, y, z = (
-        None if mask & (1 << axis) or not math.isfinite(fields[name]) else fields[name]
-        for axis, name in enumerate(("x", "y", "z"))
-    )
+    vx, vy, vz, px, py, pz = (fields[name] for name in ("vx", "vy", "vz", "x", "y", "z"))
+    north = None if mask & 8 or not isfinite(vx) else vx
+    east = None if mask & 16 or not isfinite(vy) else vy
+    down = None if mask & 32 or not isfinite(vz) else vz
+    x = None if mask & 1 or not isfinite(px) else px
+    y = None if mask & 2 or not isfinite(py) else py
+    z = None if mask & 4 or not isfinite(pz) else pz
     if frame == BODY_NED:
         x = y = z = None  # positions in the body frame are not supported
         if north is not None and east is not None:
             north, east = turned(north, east, yaw_enu_rad)
-    if all(value is None for value in (north, east, down, x, y, z)):
+    if north is east is down is x is y is z is None:
         return None
     pos = (
         None if y is None else origin_enu_m[0] + y,
