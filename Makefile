@@ -21,7 +21,7 @@ $(STAMP): requirements.lock requirements-clients.lock pyproject.toml
 
 # Flies eight vehicles into a cube and back in the emulator; says where the log and the pictures are.
 fly: $(STAMP)
-	$(BIN)/gs fly --mission cube8.yaml --dry-run --seed 1 --log flights/cube8.tlog
+	$(BIN)/gs fly --mission cube8.yaml --dry-run --seed 1 --log flights/cube8.tlog --force
 	$(BIN)/gs report flights/cube8.tlog -o flights/cube8-report
 	@echo
 	@echo 'Next, in this folder:'

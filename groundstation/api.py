@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 from groundstation.app.comparing import Comparison
 from groundstation.app.log_tables import Log
 from groundstation.app.output import Output
-from groundstation.app.resources import find_config
+from groundstation.app.resources import find_config, find_log
 from groundstation.app.verify import VerifyResult, verify_log
 from groundstation.core import frames
 from groundstation.core.errors import UserError
@@ -203,7 +203,7 @@ def simulate(
     from groundstation.app.flying import fly_dry, log_path_of
 
     plan = mission if isinstance(mission, Mission) else load_mission(mission)
-    path = None if log is None else log_path_of(plan, Path(log), dry_run=True, seed=seed)
+    path = None if log is None else log_path_of(plan, Path(log), dry_run=True, seed=seed)[0]
     timetable = read_faults(None if faults is None else Path(faults), plan)
     values = fly_dry(_quiet(), plan, path, timetable, seed=seed, realtime=False, watch=_looking(on_tick))
     return _flown(values)
@@ -232,7 +232,7 @@ def fly(
     if threading.current_thread() is not threading.main_thread():
         raise UserError("fly: Ctrl-C, which brings everybody back, is heard in the main thread alone; fly from there")
     plan = mission if isinstance(mission, Mission) else load_mission(mission)
-    path = log_path_of(plan, None if log is None else Path(log), dry_run=False, seed=0)
+    path, _ = log_path_of(plan, None if log is None else Path(log), dry_run=False, seed=0)
     out = Output(as_json=False) if show else _quiet()
     return _flown(fly_vehicles(out, plan, path, (), emulated_seed=None, take_over=take_over))
 
@@ -252,7 +252,7 @@ def verify(
         UserError: the log cannot be verified, or the code is not what was flown.
     """
     given = {key: code for key, code in ((LAW, law), (AVOIDANCE, avoidance)) if code is not None}
-    return verify_log(Path(log), CodeSource(tuple(map(Path, laws)), given))
+    return verify_log(find_log(Path(log)), CodeSource(tuple(map(Path, laws)), given))
 
 
 def read_log(log: str | Path) -> Log:
@@ -261,7 +261,8 @@ def read_log(log: str | Path) -> Log:
     Raises:
         UserError: it cannot be used.
     """
-    return Log(Path(log), load_flight(Path(log)))
+    path = find_log(Path(log))
+    return Log(path, load_flight(path))
 
 
 def compare(logs: Sequence[str | Path]) -> Comparison:
@@ -275,7 +276,7 @@ def compare(logs: Sequence[str | Path]) -> Comparison:
     """
     from groundstation.app.comparing import compare_logs
 
-    return compare_logs([Path(log) for log in logs])
+    return compare_logs([find_log(Path(log)) for log in logs])
 
 
 def report(log: Log | str | Path | Sequence[str | Path], folder: str | Path, *, force: bool = False) -> list[Path]:

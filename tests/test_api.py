@@ -100,7 +100,7 @@ def test_tables_are_frames_where_the_package_is_installed(
     assert sorted(getattr(log, f"to_{package}")("setpoints")) == [
         "t_s", "vehicle", "vx_enu_m_s", "vy_enu_m_s", "vz_enu_m_s",
     ]  # fmt: skip
-    with pytest.raises(UserError, match="roles: no such table; known are positions, setpoints"):
+    with pytest.raises(UserError, match="roles: unknown; known are positions, setpoints"):
         getattr(log, f"to_{package}")("roles")
 
 

@@ -12,12 +12,15 @@ from importlib import import_module
 import typer
 from rich.console import Console
 from rich.text import Text
-from typer._click.exceptions import ClickException
+from typer._click.exceptions import ClickException, MissingParameter, NoArgsIsHelpError, NoSuchOption
 
 from groundstation.app.commands.completion import COMPLETE_VARIABLE, install_completion
 from groundstation.app.output import Output, SteadyConsole, flush_streams, hold_streams
+from groundstation.app.reference.examples import EXAMPLES
 from groundstation.app.stopped import STOPPED, STOPPED_WORDS
+from groundstation.core.choices import nearest, unknown
 from groundstation.core.errors import UserError
+from groundstation.core.findings import words_for
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "missions": ("start", "List the missions that come along."),
@@ -70,7 +73,8 @@ def build(called: str | None) -> typer.Typer:
         if name == called:
             module = import_module(f"groundstation.app.commands.{module_name}")
             function = getattr(module, "import_" if name == "import" else name.replace("-", "_"))
-        application.command(name=name, help=None if name == called else overview)(function)
+        examples = "example: " + "; ".join(EXAMPLES[name]) if name == called else None
+        application.command(name=name, help=None if name == called else overview, epilog=examples)(function)
     return application
 
 
@@ -81,6 +85,29 @@ def words_to_complete() -> list[str]:
     install_completion()
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
     return line.split()[1:]
+
+
+def usage_words(error: ClickException) -> str:
+    """What is wrong with the words on the command line: option, value, what is allowed; and where to look it up."""
+    parameter, context = getattr(error, "param", None), getattr(error, "ctx", None)
+    names = [*getattr(parameter, "opts", ())]
+    name = max(names, key=len) if names else ""
+    name = name if name.startswith("-") else name.upper()
+    findings = getattr(error.__cause__, "errors", None)
+    if findings is not None:  # typer's values are judged by pydantic
+        words = f"{name}: {words_for(findings())}"
+    elif isinstance(error, MissingParameter):
+        about = (getattr(parameter, "help", None) or "").rstrip(".")
+        words = f"{name}: is missing" + (f": {about[:1].lower()}{about[1:]}" if about else "")
+    elif isinstance(error, NoSuchOption):
+        known = [] if context is None else [item for one in context.command.params for item in one.opts]
+        near = nearest(error.option_name, [item for item in known if item.startswith("--")])
+        words = f"{error.option_name}: unknown option" + (f", did you mean {near}?" if near else "")
+    else:
+        words = error.format_message().rstrip(".")
+        words = words[:1].lower() + words[1:]
+    help_of = "gs" if context is None else context.command_path
+    return f"{words}{'' if words.endswith('?') else ';'} {help_of} --help lists what it takes"
 
 
 def _answer(arguments: list[str], words: str, exit_code: int) -> None:
@@ -100,6 +127,8 @@ def main() -> None:
         return
     called = next((argument for argument in arguments or words_to_complete() if not argument.startswith("-")), None)
     try:
+        if called is not None and called not in COMMANDS and COMPLETE_VARIABLE not in os.environ:
+            raise UserError(f"gs {called}: {unknown(called, COMMANDS)}")
         ended = build(called)(args=arguments, prog_name="gs", complete_var=COMPLETE_VARIABLE, standalone_mode=False)
         if ended == STOPPED:
             sys.stderr.write(STOPPED_WORDS)
@@ -107,8 +136,12 @@ def main() -> None:
         if isinstance(ended, int) and ended:  # commands return nothing; this is what typer ended with
             sys.exit(ended)
     except ClickException as error:  # words on the command line that are none
-        error.show()
-        _answer(arguments, error.format_message(), error.exit_code)
+        if isinstance(error, NoArgsIsHelpError):
+            error.show()
+        else:
+            words = usage_words(error)
+            SteadyConsole(stderr=True, soft_wrap=True).print(Text(f"gs: {words}"))
+            _answer(arguments, words, error.exit_code)
         sys.exit(error.exit_code)
     except UserError as error:
         SteadyConsole(stderr=True, soft_wrap=True).print(Text(f"gs: {error}"))

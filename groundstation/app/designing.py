@@ -16,6 +16,7 @@ from rich.table import Table
 from groundstation.app.formation_text import formation_text
 from groundstation.app.output import Output
 from groundstation.app.pictures import drawn_by_gs
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
 from groundstation.core.own_files import claim, write_whole
@@ -39,21 +40,24 @@ def check_options(
         UserError: which one, and what would do.
     """
     if method != "auto" and method not in METHODS:
-        raise UserError(f"--method {method}: unknown; known are auto, {', '.join(METHODS)}")
+        raise UserError(f"--method {method}: {unknown(method, ('auto', *METHODS))}")
     if gap is not None and not 0 < gap < 1:
         raise UserError(f"--gap {gap:g}: must lie between 0 and 1; 0.01 means within 1 % of the optimum")
     if budget is not None and not budget > 0:
         raise UserError(f"--budget {budget:g}: must be more than 0 seconds")
     if graph is not None and graph not in SHARE:
-        raise UserError(f"--suggest-graph {graph}: unknown; known are {', '.join(SHARE)}")
+        raise UserError(f"--suggest-graph {graph}: {unknown(graph, SHARE)}")
     if max_degree is not None and max_degree < 1:
         raise UserError(f"--max-degree {max_degree}: must be at least 1")
 
 
 def claim_outputs(
     shape: Formation, output: Path | None, graph_file: Path | None, picture: Path | None, *, force: bool
-) -> None:
+) -> list[Path]:
     """Makes sure, before anything is worked out, that what is asked for may be written.
+
+    Returns:
+        Files that are there and will be replaced.
 
     Raises:
         UserError: a file is there that this command would not make again, see ``own_files.claim``.
@@ -66,13 +70,15 @@ def claim_outputs(
             return False
         return there is not None and np.array_equal(there.points_enu_m, shape.points_enu_m)
 
+    replaced: list[Path] = []
     for path, what, remedy, ours in (
         (output, "the gains", "another file with -o", same_formation),
         (graph_file, "the formation", "another file with --graph-file", lambda: False),  # people work on those
         (picture, "the picture", "another file with --picture", lambda: picture is not None and drawn_by_gs(picture)),
     ):
-        if path is not None:
-            claim(path, what, remedy, ours=ours, force=force)
+        if path is not None and claim(path, what, remedy, ours=ours, force=force):
+            replaced.append(path)
+    return replaced
 
 
 def check_graph_options(

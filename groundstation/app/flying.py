@@ -27,6 +27,7 @@ from groundstation.app.order_socket import OrderSocket
 from groundstation.app.output import Output
 from groundstation.app.param_keeping import BeforeKeeper, Lines, before_path, offer_back
 from groundstation.app.progress import FlightDisplay, link_troubles
+from groundstation.app.resources import log_to_write
 from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate
 from groundstation.app.steady_file import Disk
@@ -88,15 +89,20 @@ def period_ns(plan: MissionPlan) -> int:
     return round(1_000_000_000 / plan.spec.rate_hz)
 
 
-def log_path_of(plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: int) -> Path:
-    """Where to record.
+def log_path_of(
+    plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: int, force: bool | None = None
+) -> tuple[Path, bool]:
+    """Where to record, and whether a log that is there is replaced.
 
     Raises:
         UserError: the file exists and must be kept, or its folder cannot be made.
     """
-    path = wanted or (_free(_FLIGHTS, f"{plan.spec.name}-seed{seed}") if dry_run else dated_path(plan))
-    claim_log(path, lambda there: dry_run and there.dry_run)
-    return path
+    path = (
+        log_to_write(wanted)
+        if wanted
+        else (_free(_FLIGHTS, f"{plan.spec.name}-seed{seed}") if dry_run else dated_path(plan))
+    )
+    return path, claim_log(path, lambda there: dry_run and there.same_flight(plan.record(), seed), force=force)
 
 
 def dated_path(plan: MissionPlan) -> Path:
@@ -232,6 +238,7 @@ def fly_vehicles(
     emulated_seed: int | None,
     take_over: bool,
     give_back: bool = False,
+    replace_log: bool = False,
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets.
 
@@ -243,6 +250,7 @@ def fly_vehicles(
         emulated_seed: of the emulator's noise; None for vehicles.
         take_over: bring home vehicles that are in the air.
         give_back: parameters that preflight has set are set back after the flight.
+        replace_log: a log that is there is replaced.
 
     Raises:
         PreflightRefused: the vehicles do not take the mission's fence.
@@ -259,7 +267,7 @@ def fly_vehicles(
             raise why_not
         disk, laws = Disk(), LawWatch(plan)
         plan = laws.plan
-        recorded = LogPlan(log_path, versions(), emulated_seed, replace=emulated, through=disk.through)
+        recorded = LogPlan(log_path, versions(), emulated_seed, replace=replace_log, through=disk.through)
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
         session, gate, links = flight.session, flight.gate, flight.links

@@ -99,7 +99,8 @@ class KeySetup:
             kind = kind_of(frame)
             if kind is not None and kind.is_autopilot:
                 vehicle.peer = peer if vehicle.peer is None else vehicle.peer
-                vehicle.armed = bool(batch.values[0]["base_mode"] & ARMED_FLAG)
+                if peer == vehicle.peer:
+                    vehicle.armed = bool(batch.values[0]["base_mode"] & ARMED_FLAG)
 
     def outgoing(self, now_ns: int) -> list[Outgoing]:
         """What is to be sent now: heartbeats, and the key to those who are known, disarmed and do not sign yet."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.records.replay import Flight
@@ -89,7 +90,7 @@ class Log:
     def _table(self, what: str) -> dict[str, Column]:
         tables = {"positions": self.positions, "setpoints": self.setpoints}
         if what not in tables:
-            raise UserError(f"{what}: no such table; known are {', '.join(tables)}")
+            raise UserError(f"{what}: {unknown(what, tables)}")
         return tables[what]()
 
     def _s(self, t_ns: int) -> float:

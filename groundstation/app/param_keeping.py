@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from groundstation.links.opening import open_link
 from groundstation.mavlink.gate import Gate
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.records.param_file import Param, Team, read_params, write_params
+from groundstation.records.param_file import Param, Team, claim_params, read_params, write_params
 
 _SHOWN = 40
 
@@ -30,6 +31,16 @@ _SHOWN = 40
 def before_path(log: Path) -> Path:
     """Where parameters are kept as they were before a flight: ``flight.tlog`` -> ``flight.before.params``."""
     return log.with_suffix(".before.params")
+
+
+def kept_path(plan: MissionPlan) -> Path:
+    """Where ``gs params save`` keeps the parameters of a mission if nothing else is wished."""
+    return Path(f"{plan.spec.name}.params")
+
+
+def local_time(path: Path) -> str:
+    """When a file was written, for people."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(path.stat().st_mtime))
 
 
 class BeforeKeeper:
@@ -139,12 +150,14 @@ def save(out: Output, plan: MissionPlan, path: Path, seconds: float, *, force: b
         UserError: a link, or the file.
         MissionFailed: a vehicle has not told all of them; what was told is kept.
     """
+    claim_params(path, force=force)  # before vehicles are asked, which takes a while
     conversation = ParamTalk(plan)
     with lines_of(plan) as lines:
         converse(conversation, lines, seconds)
     team = conversation.team()
     if team:
-        write_params(path, team, f"all parameters of mission {plan.spec.name}", force=force)
+        if write_params(path, team, f"all parameters of mission {plan.spec.name}", force=force):
+            out.console.print(Text(f"replaces {path}"))
         counts = ", ".join(f"vehicle {sysid}: {len(params)}" for sysid, params in sorted(team.items()))
         out.console.print(Text(f"kept in {path}: {counts}"))
     troubles = conversation.troubles()
@@ -174,7 +187,8 @@ def diff(out: Output, plan: MissionPlan, path: Path, seconds: float) -> None:
     _show(out, ("vehicle", "parameter", "in the file", "in the vehicle"), rows)
     troubles = conversation.troubles()
     out.result({"file": str(path), "differences": _plain(rows), "problems": troubles})
-    differ = [f"{len(rows)} parameters differ; give them back: gs params restore"] if rows else []
+    count = f"{len(rows)} parameter{' differs' if len(rows) == 1 else 's differ'}"
+    differ = [f"{count}; gs params restore --file {path} gives back what the file has"] if rows else []
     _fail([*differ, *troubles])
 
 

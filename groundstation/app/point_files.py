@@ -9,6 +9,7 @@ import numpy as np
 
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_text
+from groundstation.core.own_files import claim, write_whole
 from groundstation.core.types import FloatArray
 from groundstation.design.common_shapes import shortest_m
 
@@ -52,16 +53,23 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def write_new(path: Path, text: str) -> None:
-    """Writes a file that is not there yet.
+def write_new(path: Path, text: str, *, force: bool) -> bool:
+    """Writes a file that people go on with: one that is there, they have changed perhaps.
+
+    Args:
+        path: the file.
+        text: what is in it.
+        force: replace what is there.
+
+    Returns:
+        Whether a file was replaced.
 
     Raises:
         UserError: it is there, or cannot be written.
     """
+    replaced = claim(path, "the new one", "another file with -o", ours=lambda: False, force=force)
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise UserError(f"{path}: is there already; choose another file with -o, or remove it first") from None
+        write_whole(path, text.encode(), durable=False)
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}; choose another file with -o") from None
+    return replaced

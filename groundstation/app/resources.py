@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
+from groundstation.core.choices import nearest
 from groundstation.core.errors import UserError
-from groundstation.core.files import is_file
+from groundstation.core.files import exists, is_file
+
+_FLIGHTS = Path("flights")
 
 
 def packaged_configs() -> Path:
@@ -33,11 +35,49 @@ def find_config(path: Path, folder: str) -> Path:
         if not name.is_absolute() and is_file(packaged):
             return packaged
     known = packaged_names(folder)
-    near = difflib.get_close_matches(path.stem, known, n=1)
-    hint = f", the nearest name is {near[0]}" if near else ""
+    near = nearest(path.stem, known)
+    hint = f", the nearest name is {near}" if near else ""
     raise UserError(
         f"{path}: no such file{hint}; name one that exists, or one of those that come along: {', '.join(known)}"
     )
+
+
+def find_log(path: Path) -> Path:
+    """Looks a log up as given, then in ``flights``, where flights are recorded; ``.tlog`` may be left out.
+
+    Args:
+        path: what the user wrote.
+
+    Returns:
+        The log; what is there and no plain file as it is, for whoever reads it to judge.
+
+    Raises:
+        UserError: there is none; names the nearest of those that are there.
+    """
+    folders = [path.parent] if path.is_absolute() or _FLIGHTS in path.parents else [path.parent, _FLIGHTS / path.parent]
+    if path.name:
+        for folder in folders:
+            for name in (path.name, f"{path.name}.tlog"):
+                if is_file(folder / name):
+                    return folder / name
+    if not path.name or exists(path):
+        return path
+    beside = {item.stem: item for folder in reversed(folders) for item in _logs_in(folder)}
+    near = nearest(path.name.removesuffix(".tlog"), beside)
+    hint = f", the nearest name is {beside[near]}" if near else ""
+    raise UserError(f"{path}: no such log{hint}; name a .tlog file that exists, the suffix may be left out")
+
+
+def log_to_write(path: Path) -> Path:
+    """The log that a name stands for: ``.tlog`` may be left out here too."""
+    return path.with_name(f"{path.name}.tlog") if path.name and not path.suffix else path
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    try:
+        return sorted(item for item in folder.iterdir() if item.suffix == ".tlog")
+    except (OSError, ValueError):
+        return []
 
 
 def packaged_names(folder: str) -> list[str]:

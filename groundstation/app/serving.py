@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.app.output import Output
+from groundstation.core.choices import nearest
 from groundstation.core.errors import UserError
 from groundstation.mavlink.keys import read_key
 from sitl.faults import Fault, load_faults
@@ -61,7 +62,9 @@ def open_server(options: SitlOptions) -> Server:
         ("--streams", options.streams or next(iter(RATES_HZ)), tuple(RATES_HZ)),
     ):
         if value not in allowed:
-            raise UserError(f"{name}: {value!r} is unknown; choose one of {', '.join(map(str, allowed))}")
+            near = nearest(str(value), map(str, allowed))
+            meant = f", did you mean {near}?" if near else ";"
+            raise UserError(f"{name}: {value!r} is unknown{meant} choose one of {', '.join(map(str, allowed))}")
     for name, number, low, high in (
         ("--spacing", options.spacing_m, 0.0, 1000.0),
         ("--wind", options.wind, -30.0, 30.0),

@@ -31,7 +31,7 @@ class TalkedTo:
     Attributes:
         sysid: its system id.
         link: index of its link.
-        peer: where its heartbeats come from; empty before.
+        peer: where its first heartbeat came from; empty before.
         armed: as it said last; None before it said anything.
     """
 
@@ -71,8 +71,10 @@ class TeamTalk(ABC, Generic[Vehicle]):
             item, sender = self._vehicles[number], kind_of(piece)
             for batch in decode([piece]):
                 if sender is not None and sender.is_autopilot:
-                    item.peer, item.armed = peer, bool(batch.values[0]["base_mode"] & ARMED_FLAG)
-                else:
+                    item.peer = item.peer or peer  # the first who speaks under an id stays: nobody takes it over
+                    if peer == item.peer:
+                        item.armed = bool(batch.values[0]["base_mode"] & ARMED_FLAG)
+                elif peer == item.peer:
                     self._take(number, batch, now_ns)
 
     @abstractmethod

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import re
-import reprlib
 import stat
 from collections.abc import Hashable, Sequence
 from pathlib import Path
@@ -14,7 +11,9 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from groundstation.core.choices import nearest
 from groundstation.core.errors import UserError
+from groundstation.core.findings import choices_of, own_words, useful, words_for
 
 Model = TypeVar("Model", bound=BaseModel)
 _BYTES_MAX = 32 << 20
@@ -22,9 +21,6 @@ _VALUES_MAX = 5_000_000  # counted with every alias written out: that is what wh
 _DEPTH_MAX = 100
 _NUMBER_MAX = 400  # characters; the largest float has 309 digits
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
-_short = reprlib.Repr()
-_short.maxstring = _short.maxother = 200
-_short.maxlong = 60
 
 
 def require_regular(path: Path, max_bytes: int, what: str) -> None:
@@ -107,6 +103,14 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def exists(path: Path) -> bool:
+    """Whether anything has this name; not for names that are too long, or hold what no name can hold."""
+    try:
+        return path.exists() or path.is_symlink()
+    except (OSError, ValueError):
+        return False
+
+
 def read_text(path: Path, bytes_max: int, encoding: str = "utf-8") -> str:
     """Reads a text file that people bring along.
 
@@ -178,7 +182,10 @@ def validate(model: type[Model], values: dict[str, Any], source: str) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise UserError("\n".join(_describe(model, source, item) for item in error.errors())) from None
+        lines = []
+        for key, found in useful(error.errors(), values).items():
+            lines.append(f"{source}: {_describe(model, key, found)}")
+        raise UserError("\n".join(lines)) from None
 
 
 def _keys_beside(model: type[BaseModel], place: Sequence[str | int]) -> set[str]:
@@ -197,44 +204,21 @@ def _models_in(annotation: object) -> list[type[BaseModel]]:
     return [found for part in get_args(annotation) for found in _models_in(part)]
 
 
-def _describe(model: type[BaseModel], source: str, item: ErrorDetails) -> str:
-    key = ""
-    for part in item["loc"]:
-        if isinstance(part, int):
-            key += f"[{part}]"
-        elif part not in {"float", "constrained-float"} and not str(part).startswith(("literal[", "function-")):
-            key += f".{part}" if key else str(part)
+def _describe(model: type[BaseModel], key: str, found: Sequence[ErrorDetails]) -> str:
+    item = found[0]
     if item["type"] == "union_tag_invalid":  # one of several kinds, named by its only key
-        name, known = str(item["ctx"]["tag"]), set(re.findall("'([^']*)'", item["ctx"]["expected_tags"]))
-        return f"{source}: {key}.{name}: {_unknown(name, known)}"
+        name, known = str(item["ctx"]["tag"]), set(choices_of(item["ctx"]["expected_tags"]))
+        return f"{key}.{name}: {_unknown(name, known)}"
     if item["type"] == "extra_forbidden":
-        return f"{source}: {key}: {_unknown(str(item['loc'][-1]), _keys_beside(model, item['loc']))}"
-    if item["type"] == "missing":
-        return f"{source}: {key}: is missing, give it a value"
-    message = _words(item)
-    return f"{source}: {key or 'file'}: {message}, got {_short.repr(item['input'])}"
+        return f"{key}: {_unknown(str(item['loc'][-1]), _keys_beside(model, item['loc']))}"
+    if not key and item["type"] == "value_error":  # of the whole file: the words name the key
+        return own_words(item)
+    return f"{key or 'file'}: {words_for(found)}"
 
 
 def _unknown(name: str, known: set[str]) -> str:
     """Says that nobody knows a key, and which one may have been meant."""
     # Units stand at the end of our keys: who leaves them out gets the whole key.
-    whole = [other for other in sorted(known) if other.startswith(f"{name}_")]
-    near = whole or difflib.get_close_matches(name, sorted(known), n=1)
-    return f"unknown key, did you mean {near[0]}?" if near else "unknown key, remove it or correct its spelling"
-
-
-def _words(item: ErrorDetails) -> str:
-    """What is wrong, where pydantic's own words speak of the program's types instead of the file."""
-    context = item.get("ctx") or {}
-    if item["type"] == "too_short":
-        return f"needs at least {context['min_length']} items, has {context['actual_length']}"
-    if item["type"] == "too_long":
-        return f"takes at most {context['max_length']} items, has {context['actual_length']}"
-    if item["type"] in {"list_type", "tuple_type"}:
-        return "expected a list"
-    if item["type"] in {"model_type", "dict_type"}:
-        return "expected keys and values"
-    if item["type"] == "literal_error":
-        return f"expected {context['expected']}"
-    message = item["msg"].removeprefix("Value error, ")
-    return message[:1].lower() + message[1:]
+    whole = next((other for other in sorted(known) if other.startswith(f"{name}_")), "")
+    near = whole or nearest(name, sorted(known))
+    return f"unknown key, did you mean {near}?" if near else "unknown key, remove it or correct its spelling"

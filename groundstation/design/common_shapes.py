@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 
@@ -83,7 +84,7 @@ def points_of(shape: str, agents: int) -> FloatArray:
         UserError: no such shape, or not that many agents.
     """
     if shape not in SHAPES:
-        raise UserError(f"{shape}: no such shape; known are {', '.join(SHAPES)}")
+        raise UserError(f"{shape}: {unknown(shape, SHAPES)}")
     if not _RANGE[0] <= agents <= _RANGE[1]:
         raise UserError(f"--agents {agents}: must be {_RANGE[0]} to {_RANGE[1]}")
     points = SHAPES[shape](agents)

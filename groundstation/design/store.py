@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import reprlib
 import struct
 import zipfile
 import zlib
@@ -19,10 +18,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
 from groundstation.core.errors import UserError
-from groundstation.core.files import read_yaml
+from groundstation.core.files import read_yaml, validate
+from groundstation.core.findings import no_boolean
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.own_files import write_whole
 from groundstation.core.types import ComplexArray, FloatArray
@@ -30,8 +30,6 @@ from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certi
 from groundstation.design.problem import SPECTRAL_NORM, Matrix
 
 FILE_VERSION = 1
-_short = reprlib.Repr()
-_short.maxstring = _short.maxother = 200
 _MEMBERS_MAX = 32
 _BYTES_MAX = 1 << 28  # unpacked; a thousand agents need 48 MB
 CLAIM_TOLERANCE = 1e-6
@@ -52,15 +50,9 @@ DAMAGE = (
 """What numpy and zipfile raise on files that are cut, altered or no archives at all."""
 
 
-def _no_bool(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("should be a number, not yes or no")
-    return value
-
-
 # Beyond a million kilometres nothing flies, and products of what is read stay numbers.
-Number = Annotated[FiniteFloat, BeforeValidator(_no_bool), Field(ge=-1e9, le=1e9)]
-Positive = Annotated[FiniteFloat, BeforeValidator(_no_bool), Field(gt=0, le=1e9)]
+Number = Annotated[FiniteFloat, BeforeValidator(no_boolean), Field(ge=-1e9, le=1e9)]
+Positive = Annotated[FiniteFloat, BeforeValidator(no_boolean), Field(gt=0, le=1e9)]
 Agent = Annotated[int, Field(strict=True, ge=1)]
 
 
@@ -94,11 +86,7 @@ def load_formation_file(path: Path) -> FormationFile:
     Raises:
         UserError: unreadable, not YAML, an unknown key, a wrong type or an impossible edge; names file and key.
     """
-    content = read_yaml(path)
-    try:
-        file = FormationFile.model_validate(content)
-    except ValidationError as error:
-        raise UserError(f"{path}: {_first_error(error)}") from error
+    file = validate(FormationFile, read_yaml(path), str(path))
     _check_edges(path, file)
     return file
 
@@ -121,24 +109,6 @@ def to_formation(file: FormationFile) -> Formation:
     else:
         pairs = sorted((min(i, j) - 1, max(i, j) - 1) for i, j in file.edges)
     return Formation(name=file.name, points_enu_m=points, edges=tuple(pairs))
-
-
-def _first_error(error: ValidationError) -> str:
-    """First finding in the words ``key[index]: what is wrong``."""
-    findings = error.errors()
-    if findings[0]["loc"] == ("edges", "literal['complete']") and isinstance(findings[0]["input"], list):
-        findings = findings[1:]  # it is not the word, and was not meant to be
-    finding = findings[0]
-    # pydantic puts the name of the union's member into the location of `edges`
-    parts = [part for part in finding["loc"] if not (isinstance(part, str) and "[" in part)]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
-    if finding["type"] == "extra_forbidden":
-        return f"{key}: unknown key; known are {', '.join(FormationFile.model_fields)}"
-    if finding["type"] == "missing":
-        return f"{key}: missing"
-    if key == "edges":
-        return f"edges: {reprlib.repr(finding['input'])} is neither a list of pairs [i, j] nor the word complete"
-    return f"{key}: {finding['msg'][:1].lower()}{finding['msg'][1:]}, found {_short.repr(finding['input'])}"
 
 
 def _check_edges(path: Path, file: FormationFile) -> None:

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from groundstation.core.choices import nearest
+
 
 class Order(Enum):
     """What can be ordered."""
@@ -67,7 +69,9 @@ def parse_command(text: str, ids: Sequence[int]) -> OperatorCommand:
     shown = " ".join(words)[:_WORDS_SHOWN]
     names = [order.value for order in Order]
     if not words or words[0] not in names:
-        raise ValueError(f"operator command {shown!r} is none of {', '.join(names)}")
+        near = nearest(words[0], names) if words else ""
+        meant = f"; did you mean {near}?" if near else ""
+        raise ValueError(f"operator command {shown!r} is none of {', '.join(names)}{meant}")
     order, rest = Order(words[0]), words[1:]
     everybody = tuple(range(len(ids)))
     if order not in _NAMES_VEHICLES:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.core.errors import UserError
-from groundstation.core.own_files import refuse_links, write_whole
+from groundstation.core.own_files import claim, refuse_links, write_whole
 
 Values = Mapping[str, Any]
 """Plain values by key, as JSON has them: a mission, a result."""
@@ -70,6 +70,15 @@ class Manifest:
     take_over: bool = False
     gains_npz: bytes | None = None
     result: Values | None = None
+
+    @property
+    def of_vehicles(self) -> bool:
+        """Whether vehicles flew it: neither the emulator nor another program, whose record it would be."""
+        return not self.dry_run and self.seed is None and "source" not in self.mission
+
+    def same_flight(self, mission: Values, seed: int | None) -> bool:
+        """Whether it is of the same mission to the last value, flown in the emulator with the same seed."""
+        return seed is not None and self.seed == seed and self.mission == json.loads(json.dumps(_plain(mission)))
 
     @property
     def gains_sha256(self) -> str | None:
@@ -176,28 +185,45 @@ def manifest_beside(log: Path) -> Manifest | None:
     return read_manifest(path) if path.exists() else None
 
 
-def claim_log(log: Path, replaceable: Callable[[Manifest], bool]) -> None:
+def claim_log(log: Path, ours: Callable[[Manifest], bool], *, option: str = "--log", force: bool | None = None) -> bool:
     """Makes sure that a new log may be written to a file, and makes its folder.
 
     Args:
         log: the file, ending in .tlog.
-        replaceable: says of the manifest of a log that lies there whether that log can be had again at any time.
+        ours: says of the manifest of a log that lies there whether the same command would make that log again.
+        option: by which another file is named, for messages.
+        force: replace what is there, unless vehicles flew it; None where the command has no --force.
+
+    Returns:
+        Whether a log that is there will be replaced.
 
     Raises:
         UserError: another ending, a log that has to be kept, or a folder that cannot be made.
     """
     if log.suffix != ".tlog":
         raise UserError(f"{log}: logs end in .tlog; call it {log.with_suffix('.tlog')}")
-    refuse_links(log, "the log")
     refuse_links(manifest_path(log), "the manifest")
-    if log.exists():
-        there = manifest_beside(log)
-        if there is None or not replaceable(there):
-            raise UserError(f"{log}: exists and is not written over; name another file or move it away")
+    there = _usable_manifest(log)
+    if log.exists() and there is not None and there.of_vehicles:
+        raise UserError(
+            f"{log}: exists, and vehicles flew it: it cannot be had again; name another file with {option}, or move it"
+            " away"
+        )
+    remedy = f"another file with {option}"
+    replaced = claim(log, "the log", remedy, ours=lambda: there is not None and ours(there), force=force)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{log}: cannot make its folder: {error.strerror or error}; name another one") from error
+    return replaced
+
+
+def _usable_manifest(log: Path) -> Manifest | None:
+    """The manifest beside a log; None where there is none that can be read."""
+    try:
+        return manifest_beside(log)
+    except UserError:
+        return None
 
 
 def _expect(path: Path, values: Values, key: str, *kinds: type) -> Any:

@@ -54,8 +54,22 @@ Team = dict[int, dict[str, Param]]
 """Parameters by system id and name."""
 
 
-def write_params(path: Path, team: Mapping[int, Mapping[str, Param]], words: str, *, force: bool | None = None) -> None:
-    """Writes a file.
+def claim_params(path: Path, *, force: bool | None) -> bool:
+    """Makes sure that parameters may be written to a file; returns whether one that is there will be replaced.
+
+    Raises:
+        UserError: it is not ours to replace.
+    """
+
+    def ours() -> bool:
+        with path.open("rb") as file:
+            return file.read(len(_MARK)) == _MARK.encode()
+
+    return claim(path, "the parameters", "another file with --file", ours=ours, force=force)
+
+
+def write_params(path: Path, team: Mapping[int, Mapping[str, Param]], words: str, *, force: bool | None = None) -> bool:
+    """Writes a file; returns whether one that was there was replaced.
 
     Args:
         path: the file; one that this program kept is replaced, another one only with ``force``.
@@ -66,9 +80,7 @@ def write_params(path: Path, team: Mapping[int, Mapping[str, Param]], words: str
     Raises:
         UserError: it cannot be written, or is not ours to replace.
     """
-    claim(
-        path, "the parameters", "another file", ours=lambda: path.read_bytes().startswith(_MARK.encode()), force=force
-    )
+    replaced = claim_params(path, force=force)
     lines = [_MARK, f"# {words}", "# Vehicle-Id\tComponent-Id\tName\tValue\tType"]
     for sysid, params in sorted(team.items()):
         lines += [
@@ -79,6 +91,7 @@ def write_params(path: Path, team: Mapping[int, Mapping[str, Param]], words: str
         write_whole(path, "".join(f"{line}\n" for line in lines).encode())
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}; name another file") from error
+    return replaced
 
 
 def read_params(path: Path) -> Team:

@@ -301,7 +301,7 @@ def test_campaigns_that_come_along_make_a_plan_in_every_cell(path: Path) -> None
         ("adversary: {vehicles: 1}", "adversary.vehicles"),
         ("set: {avoidance.radius_m: 0.9}", "avoidance.radius_m"),
         ("set: {speed_limit: 3}", "speed_limit"),
-        ("team: {profile: zeppelin}", "zeppelin is not known"),
+        ("team: {profile: zeppelin}", "zeppelin: unknown; known are crazyflie"),
         ("starts: {kind: planar, spread: 1.0, apart: 6}", "no room for 8 vehicles"),
         ("faults: {timetable: [{kind: blackout, at_s: 1, vehicles: [99]}]}", "99 is not among"),
     ],

@@ -195,10 +195,10 @@ def test_the_overview_names_every_command(monkeypatch: pytest.MonkeyPatch, capsy
 @pytest.mark.parametrize(
     ("words", "answer"),
     [
-        (["fly", "--json"], "Missing option '--mission'"),
-        (["fly", "--mission", "cube8", "--dryrun", "--json"], "No such option: --dryrun"),
+        (["fly", "--json"], "--mission: is missing: mission file"),
+        (["fly", "--mission", "cube8", "--dryrun", "--json"], "--dryrun: unknown option, did you mean --dry-run?"),
         (["fly", "--mission", "cube8", "--seed", "x", "--json"], "--seed"),
-        (["fyl", "--json"], "No such command 'fyl'"),
+        (["fyl", "--json"], "gs fyl: unknown, did you mean fly?"),
         (["sitl", "--port", "x", "--json"], "--port"),
         (["sitl", "--noise", "x", "--json"], "--noise: 'x' is unknown"),
         (["design", "--json"], "FORMATION"),

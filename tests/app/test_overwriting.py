@@ -9,6 +9,7 @@ import pytest
 
 from groundstation.app.resources import packaged_configs
 from tests.app.commands import gs
+from tests.app.test_record_commands import CSV
 
 FOREIGN = b"<!doctype html><title>my thesis</title>"
 FLY = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--set", "limits.preflight_s=0.2", "--json"]
@@ -28,9 +29,12 @@ def test_dry_runs_without_a_name_keep_each_other_and_reports_replace_reports_alo
         logs.append(json.loads(out.splitlines()[-1])["log"])
     assert logs == ["flights/first_flight2-seed0.tlog", "flights/first_flight2-seed0-2.tlog"]
     named = [*FLY, "--log", logs[0]]  # as `make fly` does
-    code, _, err = gs(named, monkeypatch, capsys)
+    code, _, err = gs([*named, "--set", "speed_limit_m_s=0.7"], monkeypatch, capsys)
+    assert code == 2
+    assert "exists, and is not what this command would make again" in " ".join(err.split())
+    code, _, err = gs([*named, "--set", "speed_limit_m_s=1.0"], monkeypatch, capsys)
     assert code == 3
-    assert f"replaces {logs[0]}, an earlier dry run" in err
+    assert f"replaces {logs[0]}" in err
 
     report = ["report", logs[0], "-o", "report"]
     (tmp_path / "report").mkdir()
@@ -100,3 +104,105 @@ def test_a_campaign_takes_no_folder_with_somebody_elses_page(
     assert code == 2
     assert "index.html: exists, and is not what this command would make again" in " ".join(err.split())
     assert (tmp_path / "index.html").read_bytes() == FOREIGN
+
+
+def _design(*more: str) -> list[str]:
+    return ["design", "tetrahedron4", *more]
+
+
+_WRITERS = {
+    "fly": ("log", ["fly", "--mission", "first_flight2", "--dry-run", "--set", "limits.preflight_s=0.2"], "--log"),
+    "design": ("npz", _design(), "-o"),
+    "design picture": ("svg", _design("--suggest-graph", "sparse"), "--picture"),
+    "design graph": ("yaml", _design("--suggest-graph", "sparse"), "--graph-file"),
+    "new": ("yaml", ["new", "formation", "line", "-n", "3"], "-o"),
+    "new law": ("py", ["new", "law", "x"], "-o"),
+    "import": ("tlog", ["import", "crazyswarm", "recorded"], "-o"),
+}
+"""Commands that write one file: its suffix, what is typed, the option that names it."""
+_MADE_NEW = ("design graph", "new", "new law")
+"""Of these, those whose files people go on with: there, they are not made again."""
+
+
+@pytest.mark.parametrize("name", _WRITERS)
+def test_every_command_that_writes_a_file_keeps_the_one_rule(
+    name: str, tmp_path: Path, monkeypatch: Patch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    suffix, typed, option = _WRITERS[name]
+    if name == "import":
+        Path("recorded").mkdir()
+        for part, text in CSV.items():
+            Path("recorded", part).write_text(text)
+    file = Path(f"made.{'tlog' if suffix == 'log' else suffix}")
+    line = [*typed, option, str(file)]
+    assert gs(line, monkeypatch, capsys)[0] in (0, 3)
+    own = file.read_bytes()
+    code, out, err = gs(line, monkeypatch, capsys)
+    said = " ".join((out + err).split())
+    if name in _MADE_NEW:
+        assert (code, "exists, and is not what this command would make again" in said) == (2, True)
+    else:
+        assert (code in (0, 3), f"replaces {file}" in said) == (True, True)
+    file.write_bytes(FOREIGN)
+    file.with_suffix(".manifest.json").unlink(missing_ok=True)
+    code, _, err = gs(line, monkeypatch, capsys)
+    said = " ".join(err.split())
+    assert (code, file.read_bytes()) == (2, FOREIGN)
+    assert f"{file}: exists, and is not what this command would make again; name another" in said
+    assert "or replace it with --force" in said
+    code, out, err = gs([*line, "--force"], monkeypatch, capsys)
+    assert code in (0, 3)
+    assert f"replaces {file}" in (said := " ".join((out + err).split())) or f"replaced {file}" in said
+    assert file.read_bytes()[:8] == own[:8]
+
+
+def test_every_command_that_writes_takes_force() -> None:
+    from tests.docs.pages import click_commands
+
+    writes = {"-o", "--output", "--log", "--picture", "--graph-file", "--file"}
+    forced = set()
+    for name, command in click_commands().items():
+        options = {option for parameter in command.params for option in parameter.opts}
+        if writes & options:
+            assert "--force" in options, name
+        if "--force" in options:
+            forced.add(name)
+    # `gs init` names a folder and no option; `gs signing new` makes a key, which nothing may replace.
+    assert forced == {"fly", "design", "new", "init", "params", "import", "report", "compare", "campaign"}
+
+
+def test_a_folder_of_ones_own_is_written_into_with_force_only(
+    tmp_path: Path, monkeypatch: Patch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mission = Path("mine/mission.yaml")
+    assert gs(["init", "mine"], monkeypatch, capsys)[0] == 0
+    mission.write_bytes(FOREIGN)
+    assert gs(["init", "mine"], monkeypatch, capsys)[0] == 2
+    assert mission.read_bytes() == FOREIGN
+    code, out, _ = gs(["init", "mine", "--force"], monkeypatch, capsys)
+    assert (code, "replaced in mine" in out, mission.read_bytes() != FOREIGN) == (0, True, True)
+
+
+def test_nothing_replaces_what_vehicles_flew(tmp_path: Path, monkeypatch: Patch, capsys: Captured) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = [*FLY, "--log", "a.tlog"]
+    assert gs(named, monkeypatch, capsys)[0] == 3
+    manifest = Path("a.manifest.json")
+    values = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps(values | {"dry_run": False, "seed": None}))
+    kept = Path("a.tlog").read_bytes()
+    code, _, err = gs([*named, "--force"], monkeypatch, capsys)
+    assert (code, "vehicles flew it: it cannot be had again" in " ".join(err.split())) == (2, True)
+    assert Path("a.tlog").read_bytes() == kept
+
+
+def test_parameters_are_not_asked_for_where_they_may_not_be_kept(
+    tmp_path: Path, monkeypatch: Patch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("hello1.params").write_bytes(FOREIGN)
+    monkeypatch.setattr("groundstation.app.param_keeping.lines_of", None)  # nobody gets as far
+    code, _, err = gs(["params", "save", "--mission", "hello1"], monkeypatch, capsys)
+    assert (code, "or replace it with --force" in " ".join(err.split())) == (2, True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -358,3 +360,23 @@ def test_an_installed_package_offers_its_law_under_a_name(tmp_path: Path, monkey
     assert np.asarray(plan.own_code["law"].make()(None)).tolist() == [[0.25] * 3] * 2
     with pytest.raises(UserError, match=r"no calm is offered .* \(installed are still\)"):
         _two(tmp_path, "law=calm")
+
+
+def test_the_law_of_the_page_flies_as_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "own-laws.md").read_text(encoding="utf-8")
+    commands = re.search(r"```\n(gs init rigid.*?)```", page, re.DOTALL)
+    law = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+    assert commands is not None
+    assert law is not None
+    monkeypatch.chdir(tmp_path)
+    Path("gradient.py").write_text(law[1])
+    *first, fly = [shlex.split(re.sub(r"\s#.*", "", line))[1:] for line in commands[1].splitlines()]
+    for line in first:
+        assert gs(line, monkeypatch, capsys)[0] == 0, line
+    # Half the rate, a short hold: to save time only.
+    cheap = ["rate_hz=25", "steps.1.hold.seconds=0.5"]
+    code, out, _ = gs([*fly, "--json", *(part for item in cheap for part in ("--set", item))], monkeypatch, capsys)
+    flown = json.loads(out.splitlines()[-1])
+    assert (code, flown["outcome"], flown["converged"]) == (0, "completed", True)

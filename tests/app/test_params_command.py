@@ -18,6 +18,7 @@ from groundstation.app.param_keeping import BeforeKeeper, before_path
 from groundstation.app.param_talk import ParamTalk
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
+from groundstation.mavlink.codec import Encoder
 from groundstation.mavlink.params import bits_of_value, value_of_bits
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
@@ -181,20 +182,55 @@ def test_save_diff_and_restore_over_sockets(
         kept[1]["COM_DL_LOSS_T"] = Param(kept[1]["COM_DL_LOSS_T"].value + 3, 6)
         few: Team = {1: {name: kept[1][name] for name in ("COM_DL_LOSS_T", "RTL_RETURN_ALT")}}
         write_params(Path("a.params"), few, "changed")
-        code, out, err = gs(["params", "diff", *common], monkeypatch, capsys)
+        Path("a.params").rename("hello1.params")  # what was saved under the mission's name is what diff takes by itself
+        by_itself = [item for item in common if item not in ("--file", "a.params")]
+        code, out, err = gs(["params", "diff", *by_itself], monkeypatch, capsys)
+        assert "compared with hello1.params, saved 20" in " ".join(err.split())
+        Path("hello1.params").rename("a.params")
         differ = json.loads(out.splitlines()[-1])["differences"]
         assert (code, [row["parameter"] for row in differ]) == (1, ["COM_DL_LOSS_T"])
-        assert "1 parameters differ" in err
+        assert "1 parameter differs; gs params restore --file hello1.params gives back" in " ".join(err.split())
         assert gs(["params", "restore", *common], monkeypatch, capsys)[0] == 0
         held = world.autopilots[0].params
         assert held.at(held.position("COM_DL_LOSS_T") or 0)[1] == kept[1]["COM_DL_LOSS_T"].value
+
+
+def test_who_speaks_first_under_a_vehicles_id_stays_and_nobody_else_is_heard() -> None:
+    plan = mission("hello1")
+    (sysid,) = (item.id for item in plan.spec.vehicles)
+    vehicle, stranger = ("127.0.0.1:14541", "10.0.0.9:14550")
+    encoder = Encoder(sysid)
+
+    def heartbeat(*, armed: bool) -> bytes:
+        return encoder.encode("HEARTBEAT", type=2, autopilot=12, base_mode=128 if armed else 0, mavlink_version=3)
+
+    def value(number: float) -> bytes:
+        return encoder.encode("PARAM_VALUE", param_id="A", param_value=number, param_type=9, param_count=1)
+
+    talk = ParamTalk(plan)
+    for peer, data in (
+        (stranger, value(7.0)),  # before anybody has said who he is
+        (vehicle, heartbeat(armed=True)),
+        (stranger, heartbeat(armed=False)),
+        (stranger, value(8.0)),
+    ):
+        talk.receive(0, peer, data, 0)
+    (item,) = talk._vehicles
+    assert (item.peer, item.armed, talk.team()) == (vehicle, True, {})
+    assert {sent.peer for sent in talk.outgoing(0)} == {vehicle}
+    talk.receive(0, vehicle, value(9.0), 0)
+    assert [param.value for param in talk.team()[sysid].values()] == [9.0]
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["restore", "--mission", "hello1"], "--file: is missing"),
-        (["tune", "--mission", "hello1"], "known are save, diff and restore"),
+        (
+            ["diff", "--mission", "hello1"],
+            "hello1.params: nothing was saved here under this name; begin with gs params",
+        ),
+        (["tune", "--mission", "hello1"], "known are save, diff, restore"),
         (["diff", "--mission", "hello1", "--file", "nowhere"], "nowhere: cannot be read"),
         (["diff", "--mission", "cube8", "--file", "other"], "is of vehicles 77, the mission has 1, 2"),
     ],

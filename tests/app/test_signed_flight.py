@@ -153,7 +153,7 @@ def test_links_may_differ(tmp_path: Path, key_file: Path) -> None:
     [
         (["signing={}"], "signing.key_file: is missing"),
         (["signing.key_file=k", "signing.links={'udpin://1.2.3.4:5': {}}"], "no vehicle uses this link"),
-        (["signing.key_file=k", "signing.link_id=256"], "signing.link_id: input should be less than or equal to 255"),
+        (["signing.key_file=k", "signing.link_id=256"], "signing.link_id: expected a number of at most 255"),
         (["signing.key_file=k", "vehicles.0.link=mavsdk://udpin://127.0.0.1:1"], "MAVSDK sends setpoints by itself"),
         (["signing.secret=k"], "signing.secret: unknown key"),
     ],
@@ -235,7 +235,12 @@ def test_keys_are_handed_to_vehicles_that_then_sign(key_file: Path) -> None:
             world.autopilots[1].armed = False
         for sent in world.advance(now_ns):
             setup.receive(plan.link_of_vehicle[sent.vehicle_index], f"v{sent.vehicle_index}", sent.data, now_ns)
+        if tick in (100, 248):  # a stranger under the id of the one that is armed: neither it nor its state counts
+            other = Encoder(plan.spec.vehicles[1].id)
+            words = {"type": 2, "autopilot": 12, "base_mode": 0, "mavlink_version": 3}
+            setup.receive(plan.link_of_vehicle[1], "stranger", other.encode("HEARTBEAT", **words), now_ns)
         for out in setup.outgoing(now_ns):
+            assert out.peer != "stranger"
             if out.peer.startswith("v"):
                 world.receive(int(out.peer[1:]), b"".join(out.frames), now_ns)
     assert setup.done
@@ -256,6 +261,8 @@ def test_command_line(tmp_path: Path, key_file: Path) -> None:
     result = runner.invoke(application, ["signing", "setup", "--mission", "first_flight2.yaml"])
     assert "name the key: signing:" in str(result.exception)
     result = runner.invoke(application, ["signing", "burn"])
+    assert "gs signing burn: unknown; known are new, setup" in str(result.exception)
+    result = runner.invoke(application, ["signing", "new"])
     assert "expected gs signing new FILE" in str(result.exception)
 
 

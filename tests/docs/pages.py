@@ -15,6 +15,7 @@ from typer.main import get_command
 
 from groundstation.app.cli import COMMANDS, build
 from groundstation.app.commands.schema import MODELS
+from groundstation.app.reference.examples import EXAMPLES
 from groundstation.app.reference.words import Words, described, inside, words_of
 from groundstation.mission.phases.table import page as phases_page
 
@@ -212,7 +213,8 @@ def commands_page() -> str:
     for name, command in found.items():
         lines += ["", f"## gs {name}", ""]
         about = " ".join((command.help or "").replace("\b", "").split("\n\n")[0].split())
-        lines += [about.replace("``", "`"), "", "| | type | default | meaning |", "| --- | --- | --- | --- |"]
+        lines += [about.replace("``", "`"), "", "```", *EXAMPLES[name], "```", ""]
+        lines += ["| | type | default | meaning |", "| --- | --- | --- | --- |"]
         for parameter in command.params:
             if parameter.name not in ("help", "install_completion", "show_completion"):
                 lines.append("| " + " | ".join(map(_cell, _option(parameter))) + " |")

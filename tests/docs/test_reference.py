@@ -5,13 +5,16 @@ from __future__ import annotations
 import copy
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
+from groundstation.app.cli import COMMANDS
 from groundstation.app.commands.schema import MODELS
+from groundstation.app.reference.examples import EXAMPLES
 from groundstation.app.reference.words import FILES, described, inside, words_of
 from tests.docs.pages import PAGES, click_commands
 
@@ -102,3 +105,14 @@ def test_every_option_is_in_the_reference() -> None:
         known = {option for item in command.params for option in (*item.opts, *item.secondary_opts) if option[0] == "-"}
         assert listed == known - {"--help", "--install-completion", "--show-completion"}
         assert all(item.help for item in command.params), name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_an_example_that_it_takes(name: str) -> None:
+    command = click_commands()[name]
+    assert EXAMPLES[name]
+    for line in EXAMPLES[name]:
+        program, called, *words = shlex.split(line)
+        assert (program, called) == ("gs", name)
+        command.make_context(name, words)  # raises on an option or a value that it does not take
+    assert set(EXAMPLES) == set(COMMANDS)

@@ -92,7 +92,7 @@ def test_a_damaged_record_is_refused(damage: dict[str, object]) -> None:
         ("move: {by_m: [0, 0, -0.3]}", "steps[1].move: takes the team to z = "),
         ("move: {scale: 0.45}", "steps[1].move.scale: 0.45 brings two points to 0.45 m, minimum is more than 0.45 m"),
         ("move: {scale: 0.48}", "steps[1].move.scale: avoidance.radius_m: 0.45 m cannot be kept"),
-        ("move: {scale: 0}", "steps[1].move.scale: input should be"),
+        ("move: {scale: 0}", "steps[1].move.scale: expected a number of at least"),
         ("move: {by_m: [1.3, 0, 0]}, move: {by_m: [1.3, 0, 0]}", "steps[2].move: takes the team to x = "),
         ("move: {scale: 0.7}, move: {scale: 0.65}", "steps[2].move.scale: avoidance.radius_m: 0.45 m cannot be kept"),
     ],

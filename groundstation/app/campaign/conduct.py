@@ -13,6 +13,7 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Listing
+from rich.text import Text
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from groundstation.app.campaign.cases import Cases
@@ -22,7 +23,7 @@ from groundstation.app.campaign.summary import below_r
 from groundstation.app.campaign.table import Table
 from groundstation.app.campaign.vary import Vary
 from groundstation.app.output import Output
-from groundstation.app.resources import find_config
+from groundstation.app.resources import find_config, log_to_write
 from groundstation.core.errors import CheckFailed, MissionFailed, UserError
 from groundstation.records.manifest import claim_log
 
@@ -137,10 +138,13 @@ def lost_words(lost: Sequence[Lost], count: int) -> str:
     )
 
 
-def fly_one(out: Output, cases: Cases, run: int, log: Path | None) -> None:
+def fly_one(out: Output, cases: Cases, run: int, log: Path | None, *, force: bool = False) -> None:
     """Flies one run again, with a log where one is asked for."""
     if log is not None:
-        claim_log(log, lambda there: there.dry_run)
+        log = log_to_write(log)
+        seed = cases.case(run).seed
+        if claim_log(log, lambda there: there.dry_run and there.seed == seed, force=force):
+            out.console.print(Text(f"replaces {log}"))
     with threadpool_limits(1):
         row = fly_case(cases.case(run), log)
     listing = Listing("column", "value", title=f"run {run}")

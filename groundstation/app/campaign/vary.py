@@ -20,6 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
+from groundstation.core.findings import no_boolean
 from sitl.estimator import Noise
 from sitl.faults import Fault, FaultError, parse_fault
 from sitl.network import LinkConfig
@@ -31,13 +32,7 @@ _LABEL_MAX = 40
 _OBVIOUS = frozenset({"kind", "profile", "autopilot", "direction"})
 
 
-def _no_boolean(value: Any) -> Any:
-    if isinstance(value, bool):
-        raise ValueError("input should be a valid number")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_no_boolean), Field(allow_inf_nan=False)]
+Number = Annotated[float, BeforeValidator(no_boolean), Field(allow_inf_nan=False)]
 NotNegative = Annotated[Number, Field(ge=0, le=10_000)]
 Positive = Annotated[Number, Field(gt=0, le=10_000)]
 Probability = Annotated[Number, Field(ge=0, le=1)]

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.extras import need
 
@@ -40,7 +41,7 @@ def bench(
     """Measures speed as ratios in one run, or what a killed ground station leaves behind."""
     out = Output(as_json=as_json)
     if name not in BENCHES:
-        raise UserError(f"bench {name}: not known; use one of {', '.join(BENCHES)}")
+        raise UserError(f"gs bench {name}: {unknown(name, BENCHES)}")
     if name == "gains":
         need("solvers", "gs bench gains")
     values: dict[str, Any] = import_module(BENCHES[name]).run(

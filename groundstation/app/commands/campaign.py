@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from groundstation.app.options import JsonOption, SetOption
+from groundstation.app.options import ForceOption, JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, UserError
 from groundstation.core.extras import need
@@ -39,6 +39,7 @@ def campaign(
     log: Annotated[Path | None, typer.Option(help="With --only: log to record (.tlog).")] = None,
     out_dir: Annotated[Path | None, typer.Option("-o", help="Folder for table, summary and pictures.")] = None,
     changes: SetOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Flies a mission many times in the emulator: random starts, noise, links and faults.
@@ -62,7 +63,7 @@ def campaign(
     path = conduct.mission_of(mission, varied)
     cases = Cases(path, varied, seed, tuple(changes or ()))
     if only is not None:
-        conduct.fly_one(out, cases, only, log)
+        conduct.fly_one(out, cases, only, log, force=force)
         return
     if out_dir is None or log is not None:
         raise UserError("-o DIR is needed for the table" if out_dir is None else "--log goes with --only")
@@ -70,7 +71,7 @@ def campaign(
     with alone_in(out_dir, "the campaign"):
         table = Table(out_dir)
         for file in FILES:
-            claim(out_dir / file, "the summary", "another folder with -o", ours=table.there, force=None)
+            claim(out_dir / file, "the summary", "another folder with -o", ours=table.there, force=force)
         there = table.open(
             {
                 "mission": str(path),

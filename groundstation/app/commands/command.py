@@ -15,8 +15,9 @@ from rich.text import Text
 from groundstation.app.options import JsonOption
 from groundstation.app.order_client import ask, flights, runtime_folder
 from groundstation.app.output import Output
+from groundstation.core.choices import unknown
 from groundstation.core.errors import CheckFailed, MissionFailed, UserError
-from groundstation.mission.operator import parse_command
+from groundstation.mission.operator import Order, parse_command
 
 _ANSWER_S = 5.0
 _CONFIRM = "kill"
@@ -39,6 +40,8 @@ def command(
 ) -> None:
     """Gives an order to a flight in another terminal: of the same user, on the same machine."""
     out = Output(as_json=as_json)
+    if words and words[0].lower() not in (orders := [order.value for order in Order]):
+        raise UserError(f"gs command {words[0]}: {unknown(words[0].lower(), orders)}")
     found, silent = flights(runtime_folder(os.environ, Path.home()))
     if not words:
         _list(out, found, silent)
@@ -117,7 +120,13 @@ def _no_answer(silent: Sequence[Path]) -> str:
 
 def _is_meant(about: dict[str, Any], wanted: str) -> bool:
     log = str(about.get("log"))
-    return wanted in (about.get("mission"), str(about.get("pid")), log, Path(log).name, str(Path(log).resolve()))
+    return wanted in (about.get("mission"), str(about.get("pid")), log, Path(log).stem) or _same_log(log, wanted)
+
+
+def _same_log(log: str, wanted: str) -> bool:
+    """Whether a name means a log, with its suffix or without."""
+    names = {wanted, f"{wanted}.tlog"}
+    return Path(log).name in names or log in {str(Path(name).resolve()) for name in names}
 
 
 def _confirm(out: Output, order: str, mission: str) -> None:

@@ -24,9 +24,10 @@ def compare(
 ) -> None:
     """Compares flights: time to form, distances, effort, and how far they deviate from each other."""
     from groundstation.app.comparing import claim_comparison, compare_logs, tables, write_comparison
+    from groundstation.app.resources import find_log
 
     out = Output(as_json=as_json)
-    comparison = compare_logs(logs)
+    comparison = compare_logs([find_log(log) for log in logs])
     for table in tables(comparison):
         out.console.print(table)
     files: list[Path] = []

@@ -9,6 +9,7 @@ import typer.completion as typer_completion
 from typer._completion_shared import get_completion_script
 
 from groundstation.app.output import print_text
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 
 install_completion = typer_completion.completion_init  # type: ignore[attr-defined] # as typer itself imports it
@@ -25,6 +26,6 @@ def completion(shell: Annotated[str, typer.Argument(help="bash, zsh or fish.")])
     fish: gs completion fish > ~/.config/fish/completions/gs.fish
     """
     if shell not in _SHELLS:
-        raise UserError(f"gs completion {shell}: unknown shell; known are {', '.join(_SHELLS)}")
+        raise UserError(f"gs completion {shell}: {unknown(shell, _SHELLS)}")
     for name in ("gs", "groundstation"):
         print_text(get_completion_script(prog_name=name, complete_var=COMPLETE_VARIABLE, shell=shell))

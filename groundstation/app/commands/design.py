@@ -51,7 +51,8 @@ def design(
     designing.check_graph_options(graph, sensing_range, max_degree, graph_file, picture)
     shape = load_formation(find_config(formation, "formations"))
     values: dict[str, object] = {}
-    designing.claim_outputs(shape, output, graph_file, picture, force=force)
+    for path in designing.claim_outputs(shape, output, graph_file, picture, force=force):
+        out.console.print(f"replaces {path}", markup=False)
     if graph is not None:
         kinds: dict[str, Kind] = {"sparse": "sparse", "balanced": "balanced", "robust": "robust"}
         suggestion = suggest(shape, kinds[graph], evaluator(), range_m=sensing_range, max_degree=max_degree)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from groundstation.app.options import JsonOption, MissionOption, SetOption
+from groundstation.app.options import ForceOption, JsonOption, MissionOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 
@@ -36,6 +36,7 @@ def fly(
         bool, typer.Option("--restore", help="After the flight, set parameters back that --fix has set.")
     ] = False,
     changes: SetOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Flies a mission: take off, form, hold, return to the pads, land.
@@ -61,9 +62,9 @@ def fly(
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), with_fix(changes, fix=fix))
     timetable = read_faults(faults, plan)
-    log_path = log_path_of(plan, log, dry_run=dry_run, seed=seed)
-    if log_path.exists():
-        out.console.print(Text(f"replaces {log_path}, an earlier dry run"))
+    log_path, replaced = log_path_of(plan, log, dry_run=dry_run, seed=seed, force=force)
+    if replaced:
+        out.console.print(Text(f"replaces {log_path}"))
     started = time.monotonic()
     if dry_run and not udp:
         values = fly_dry(out, plan, log_path, timetable, seed=seed, realtime=realtime)
@@ -76,6 +77,7 @@ def fly(
             emulated_seed=seed if dry_run else None,
             take_over=take_over,
             give_back=give_back,
+            replace_log=replaced,
         )
     refused, beside = values.pop("refused"), values.pop("beside")
     values["wall_s"] = round(time.monotonic() - started, 3)

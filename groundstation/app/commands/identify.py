@@ -21,12 +21,14 @@ def identify(
 ) -> None:
     """Finds lag and delay of each vehicle's velocity loop in a log, and the lines for a mission file."""
     from groundstation.app.identifying import DIRECTIONS, cells, delay_note, profile_lines, profiles, slowest, values
+    from groundstation.app.resources import find_log
     from groundstation.core.identify import STEP_S
     from groundstation.core.identify import identify as fit
     from groundstation.records.responses import load_motions
     from groundstation.records.tlog import read_tlog
 
     out = Output(as_json=as_json)
+    log = find_log(log)
     motions = load_motions(log, STEP_S)
     if not motions:
         for line in read_tlog(log).survey().words():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,18 +9,17 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from groundstation.app.options import JsonOption
+from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
+from groundstation.core.choices import unknown
+from groundstation.core.errors import UserError
 
-
-class Source(StrEnum):
-    """Programs whose records can be read."""
-
-    CRAZYSWARM = "crazyswarm"
+_SOURCES = ("crazyswarm",)
+"""Programs whose records can be read."""
 
 
 def import_(
-    source: Annotated[Source, typer.Argument(help="Program that recorded the flight.")],
+    source: Annotated[str, typer.Argument(help=f"Program that recorded the flight: {', '.join(_SOURCES)}.")],
     folder: Annotated[Path, typer.Argument(help="Folder with its files.")],
     *,
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write (.tlog).")],
@@ -31,16 +29,19 @@ def import_(
     radius_m: Annotated[
         float | None, typer.Option(help="Safety radius r in metres, where its files do not say; for the report.", min=0)
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turns the recorded flight of another program into a log."""
-    from groundstation.app.resources import find_config
+    from groundstation.app.resources import find_config, log_to_write
     from groundstation.design.store import load_formation
     from groundstation.records.imports import import_crazyswarm
     from groundstation.records.manifest import claim_log, manifest_path, versions
     from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
+    if source not in _SOURCES:
+        raise UserError(f"gs import {source}: {unknown(source, _SOURCES)}")
     wanted = None
     if formation is not None:
         shape = load_formation(find_config(formation, "formations"))
@@ -49,15 +50,15 @@ def import_(
             "points": shape.points_enu_m.tolist(),
             "edges": [[i + 1, j + 1] for i, j in shape.edges],
         }
-    claim_log(output, lambda there: there.mission.get("source") == source.value)
-    if output.exists():
-        out.console.print(Text(f"replaces {output}, an earlier import"))
+    output = log_to_write(output)
+    if claim_log(output, lambda there: there.mission.get("source") == source, option="-o", force=force):
+        out.console.print(Text(f"replaces {output}"))
     import_crazyswarm(folder, output, versions(), wanted, radius_m)
     flight = load_flight(output)
     values = {
         "log": str(output),
         "manifest": str(manifest_path(output)),
-        "source": source.value,
+        "source": source,
         "vehicles": len(flight.vehicles),
         "samples": flight.samples,
         "duration_s": flight.duration_s,

@@ -9,11 +9,13 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from groundstation.app.options import JsonOption
+from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 
 _COMPLETE = "complete"
+_KINDS = "formation", "law"
 
 
 def new(
@@ -33,16 +35,18 @@ def new(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File; ring12.yaml and such by default.")
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Makes a formation file: gs new formation ring --agents 12. Or a law of your own: gs new law my_law."""
     if what == "law":
         from groundstation.app.law_file import new_law
 
-        new_law(shape, output, Output(as_json=as_json))
+        new_law(shape, output, Output(as_json=as_json), force=force)
         return
     from groundstation.app.formation_text import formation_text
     from groundstation.app.point_files import read_points, scale_to, write_new
+    from groundstation.app.schema_files import schema_line, write_schema
     from groundstation.core.formation import Formation
     from groundstation.design.common_shapes import SHAPES, points_of
     from groundstation.design.designer import evaluator
@@ -51,9 +55,9 @@ def new(
     kinds: dict[str, Kind] = {"sparse": "sparse", "balanced": "balanced", "robust": "robust"}
     out = Output(as_json=as_json)
     if what != "formation":
-        raise UserError(f"gs new {what}: can make a formation or a law; write gs new formation {shape}")
+        raise UserError(f"gs new {what}: {unknown(what, _KINDS)}; for example: gs new formation ring -n 12")
     if graph != _COMPLETE and graph not in SHARE:
-        raise UserError(f"--graph {graph}: unknown; known are {_COMPLETE}, {', '.join(SHARE)}")
+        raise UserError(f"--graph {graph}: {unknown(graph, (_COMPLETE, *SHARE))}")
     if spacing_m is not None and not 0.0 < spacing_m <= 1e4:
         raise UserError(f"--spacing {spacing_m:g}: must be more than 0 m and at most 10000 m")
     is_file = shape not in SHAPES and Path(shape).suffix.lower() == ".csv"
@@ -71,8 +75,12 @@ def new(
     slowest, _ = evaluator()(formation)
     path = output or Path(f"{name}.yaml")
     about = [f"{len(points)} agents, {len(formation.edges)} edges ({graph}), slowest mode {slowest:.4g} 1/s of 10."]
-    write_new(path, formation_text(formation, scale=scale, about=about))
-    out.console.print(Text(f"made {path}: {about[0]}"))
+    text = formation_text(formation, scale=scale, about=about)
+    replaced = write_new(path, f"{schema_line('formation')}\n{text}", force=force)
+    out.console.print(Text(f"{'replaced' if replaced else 'made'} {path}: {about[0]}"))
+    schema = write_schema(path.parent, "formation")
+    if schema is not None:
+        out.console.print(Text(f"made {schema}: for editors"))
     out.console.print(Text(f"next:  gs design {path}"))
     out.result({
         "file": str(path), "n": len(points), "edges": len(formation.edges), "scale": scale, "slowest": slowest,

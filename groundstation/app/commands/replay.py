@@ -30,6 +30,7 @@ def replay(
 ) -> None:
     """Reads a log back."""
     from groundstation.app.replaying import figures_table, nothing_in, parse_target, send_log
+    from groundstation.app.resources import find_log
     from groundstation.app.verify import verify_log
     from groundstation.mission.plan.own_code import CodeSource
     from groundstation.records.replay import load_flight
@@ -38,6 +39,7 @@ def replay(
     target = None if to is None else parse_target(to)
     if not (math.isfinite(speed) and speed > 0):
         raise UserError(f"--speed {speed:g}: expected a number above 0, for example 2 for twice as fast")
+    log = find_log(log)
     flight = load_flight(log)
     values: dict[str, Any] = {
         "vehicles": len(flight.vehicles),

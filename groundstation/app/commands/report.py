@@ -10,6 +10,7 @@ from rich.text import Text
 
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
+from groundstation.core.choices import unknown
 from groundstation.core.errors import CheckFailed, UserError
 
 _KINDS = "svg", "pdf"
@@ -30,13 +31,15 @@ def report(
     from groundstation.app.comparing import compare_logs, tables, write_comparison
     from groundstation.app.replaying import nothing_in
     from groundstation.app.report import DPI, claim_report, write_report
+    from groundstation.app.resources import find_log
     from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
     kinds = list(dict.fromkeys(also or ()))
-    unknown = [kind for kind in kinds if kind not in _KINDS]
-    if unknown:
-        raise UserError(f"--also {unknown[0]}: unknown; known are {', '.join(_KINDS)}")
+    for kind in kinds:
+        if kind not in _KINDS:
+            raise UserError(f"--also {kind}: {unknown(kind, _KINDS)}")
+    logs = [find_log(log) for log in logs]
     if len(logs) > 1:
         if kinds or dpi != DPI:
             raise UserError("--also and --dpi are for one log; make a report of each")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from groundstation.app.output import print_text
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 
 if TYPE_CHECKING:
@@ -45,12 +46,18 @@ def schema(
 ) -> None:
     """Prints the JSON schema of a file: gs schema mission > mission.schema.json.
 
-    Editors check and complete a YAML file whose first line is
+    Editors check and complete a YAML file with the line
     # yaml-language-server: $schema=mission.schema.json
+    which gs init and gs new formation write, with the schema beside it.
     """
     if what not in MODELS:
-        raise UserError(f"gs schema {what}: unknown; known are {', '.join(MODELS)}")
+        raise UserError(f"gs schema {what}: {unknown(what, MODELS)}")
+    print_text(schema_json(what))
+
+
+def schema_json(what: str) -> str:
+    """The JSON schema of a file, drawn from its model; ``configs/schemas`` holds the same."""
     from groundstation.app.reference.words import described
 
     values = described(what, MODELS[what]())
-    print_text(json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **values}, indent=2))
+    return json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **values}, indent=2)

@@ -10,7 +10,10 @@ from rich.text import Text
 
 from groundstation.app.options import JsonOption, SetOption
 from groundstation.app.output import Output
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
+
+_ACTIONS = "new", "setup"
 
 
 def signing(
@@ -41,6 +44,8 @@ def signing(
     elif action == "setup" and mission is not None and file is None:
         plan = load_mission(find_config(mission, "missions"), changes or ())
         give_key(out, plan, seconds, in_the_clear=in_the_clear)
+    elif action not in _ACTIONS:
+        raise UserError(f"gs signing {action}: {unknown(action, _ACTIONS)}")
     else:
         raise UserError(
             f"signing {action}: expected gs signing new FILE, or gs signing setup --mission FILE (which names the key)"

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from groundstation.app.options import JsonOption
+from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 
@@ -23,7 +23,8 @@ _README = """# {name}
 | file | what it is |
 | --- | --- |
 | `mission.yaml` | the mission: vehicles, pads, links, speeds, safety radius, steps |
-{formations}
+{formations}| `*.schema.json` | what editors check and complete these files by |
+
 ```
 gs fly --mission mission.yaml --dry-run      # on the emulator: no vehicle moves
 gs report flights/{name}-seed0.tlog -o report
@@ -61,10 +62,12 @@ def init(
     name: Annotated[str, typer.Argument(help="Name of the mission and of the folder that is made for it.")],
     *,
     like: Annotated[str, typer.Option("--like", help="Mission to begin with, see gs missions.")] = "cube8",
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Makes a folder with a mission, its formation and a page that says what to type next."""
     from groundstation.app.resources import find_config
+    from groundstation.app.schema_files import schema_name, schema_text
 
     out = Output(as_json=as_json)
     folder = Path(name)
@@ -75,34 +78,45 @@ def init(
     formations = sorted({*_FORMATION.findall(text)})
     if not formations and re.search(r"^formation:", text, flags=re.MULTILINE):
         raise UserError(f"--like {like}: names no formation in ../formations; take one that gs missions lists")
+    text = text.replace("$schema=../schemas/", "$schema=")
     text = re.sub(r"^name: .*$", f"name: {folder.name}", text, count=1, flags=re.MULTILINE)
     text = _FORMATION.sub(r"\1", _GAINS_KEY.sub("", _GAINS_LINE.sub("", text)))
     files = {"mission.yaml": text}
     for formation in formations:
-        files[formation] = (source.parent.parent / "formations" / formation).read_text(encoding="utf-8")
+        shape = (source.parent.parent / "formations" / formation).read_text(encoding="utf-8")
+        files[formation] = shape.replace("$schema=../schemas/", "$schema=")
+    for kind in ("mission", "formation") if formations else ("mission",):
+        files[schema_name(kind)] = schema_text(kind)
     listed = "".join(f"| `{item}` | a formation: points and sensing graph |\n" for item in formations)
     files["README.md"] = _README.format(name=folder.name, formations=listed)
     if formations:
         files["README.md"] += _README_GAINS.format(first=formations[0])
-    _write(folder, files)
+    replaced = _write(folder, files, force=force)
     mission = folder / "mission.yaml"
-    out.console.print(Text(f"made {folder}: {', '.join(files)}"))
+    out.console.print(Text(f"{'replaced in' if replaced else 'made'} {folder}: {', '.join(files)}"))
     out.console.print(Text(f"next:  gs fly --mission {mission} --dry-run"))
     out.result({"folder": str(folder), "mission": str(mission), "files": list(files)})
 
 
-def _write(folder: Path, files: dict[str, str]) -> None:
-    """Writes into a new folder; overwrites nothing.
+def _write(folder: Path, files: dict[str, str], *, force: bool) -> bool:
+    """Writes into a new folder; into one that is there only with ``force``. Returns whether files were replaced.
 
     Raises:
         UserError: there is such a folder already, or it cannot be made.
     """
+    from groundstation.core.own_files import claim, write_whole
+
     try:
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=force)
+        paths = [folder / file for file in files]
+        replaced = [claim(path, "the new one", "another name", ours=lambda: False, force=force) for path in paths]
         for file, text in files.items():
-            (folder / file).write_text(text, encoding="utf-8")
+            write_whole(folder / file, text.encode(), durable=False)
+        return any(replaced)
     except FileExistsError:
-        raise UserError(f"{folder}: is there already; choose another name, or remove it first") from None
+        raise UserError(
+            f"{folder}: is there already; choose another name, move it away, or write into it with --force"
+        ) from None
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror or error}") from None
 

@@ -105,8 +105,8 @@ def make_failsafe(plan: MissionPlan) -> FailsafePlan:
     down_s, words = {
         "return": (
             back.down_s,
-            f"they are asked to hold for {spec.hold_s:g} s, return one by one at {back.height_m.min():.1f} to"
-            f" {back.top_m:.1f} m, and land on their pads; all down after {back.down_s:.0f} s",
+            f"they are asked to hold for {spec.hold_s:g} s, return one by one at"
+            f" {_span(back.height_m.min(), back.top_m)} m, and land on their pads; all down after {back.down_s:.0f} s",
         ),
         "land": (
             spec.hold_s + _top_m(plan) / _SINK_M_S + _SETTLE_S,
@@ -225,6 +225,12 @@ def _top_m(plan: MissionPlan) -> float:
     top = max(middle_m + float(heights.max() - heights.mean()), plan.min_altitude_m + float(np.ptp(heights)))
     top = max([top, *(float(places[:, 2].max()) for places in plan.places_enu_m.values() if len(places))])
     return max(top, plan.spec.takeoff.height_m + plan.spec.takeoff.stagger_m / 2.0 + float(plan.pads_enu_m[:, 2].max()))
+
+
+def _span(low: float, high: float) -> str:
+    """Two numbers for people, or the one that they are."""
+    shown = [f"{low:.1f}", f"{high:.1f}"]
+    return shown[0] if shown[0] == shown[1] else " to ".join(shown)
 
 
 def _returning(plan: MissionPlan, roles: IntArray, clearance_m: float) -> _Return:

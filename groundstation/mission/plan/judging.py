@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
 from groundstation.core.regions import SafetyRegion
@@ -223,9 +224,9 @@ def _check_vehicles(
             )
         first_with[vehicle.id] = number
         if vehicle.autopilot not in AUTOPILOTS:
-            raise UserError(f"{key}.autopilot: {vehicle.autopilot} is not known; use one of {', '.join(AUTOPILOTS)}")
+            raise UserError(f"{key}.autopilot: {vehicle.autopilot}: {unknown(vehicle.autopilot, AUTOPILOTS)}")
         if vehicle.profile not in profiles:
-            raise UserError(f"{key}.profile: {vehicle.profile} is not known; use one of {', '.join(profiles)}")
+            raise UserError(f"{key}.profile: {vehicle.profile}: {unknown(vehicle.profile, profiles)}")
         try:
             parse_address(vehicle.link)
         except UserError as error:

@@ -22,15 +22,9 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from groundstation.core.findings import no_boolean
 
-def _no_boolean(value: object) -> object:
-    """Refuses booleans, which Python would take for 0 or 1."""
-    if isinstance(value, bool):
-        raise ValueError("input should be a valid number")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_no_boolean), Field(allow_inf_nan=False)]
+Number = Annotated[float, BeforeValidator(no_boolean), Field(allow_inf_nan=False)]
 Coordinate = Annotated[Number, Field(ge=-1_000_000, le=1_000_000)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Positive = Annotated[Number, Field(gt=0, le=10_000)]
@@ -352,7 +346,7 @@ class LinkSigningSpec(_Strict):
     """Signing of one link; ``key_file: null`` leaves it unsigned."""
 
     key_file: Annotated[str, Field(min_length=1)] | None = None
-    link_id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=0, le=255)] | None = None
+    link_id: Annotated[int, BeforeValidator(no_boolean), Field(ge=0, le=255)] | None = None
 
 
 class SigningSpec(LinkSigningSpec):
@@ -364,7 +358,7 @@ class SigningSpec(LinkSigningSpec):
 class VehicleSpec(_Strict):
     """One vehicle, its pad, and where its position counts from."""
 
-    id: Annotated[int, BeforeValidator(_no_boolean), Field(ge=VEHICLE_IDS[0], le=VEHICLE_IDS[-1])]
+    id: Annotated[int, BeforeValidator(no_boolean), Field(ge=VEHICLE_IDS[0], le=VEHICLE_IDS[-1])]
     link: str
     autopilot: str = "px4"
     profile: str = "crazyflie"
