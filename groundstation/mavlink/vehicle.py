@@ -592,7 +592,7 @@ class Fleet:
             self.origin_ns[vehicle] = t
 
     def _elsewhere_on_earth(self, places: FloatArray, row: IntArray, t_ns: IntArray) -> BoolArray:
-        """Which origins are kilometres from where both positions of their vehicle say, shape (k,): somebody else's."""
+        """Which origins or homes are kilometres from where both positions of their vehicle say, shape (k,)."""
         north_east = (places[:, :2] - self.place_deg_m[row, :2]) * _METRES_PER_DEGREE
         north_east[:, 1] *= np.cos(np.radians(places[:, 0]))
         local_m = np.linalg.norm(self.pos_local_ned_m[row], axis=1)
@@ -600,13 +600,18 @@ class Fleet:
         far &= (t_ns - self.place_ns[row] < _LANDED_FRESH_NS) & (t_ns - self.pose_ns[row] < _LANDED_FRESH_NS)
         return np.asarray(far)
 
-    def _home(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+    def _home(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
-        known = _on_earth(values["latitude"], values["longitude"])
         places = _place(values["latitude"], values["longitude"], values["altitude"])
+        far = self._elsewhere_on_earth(places, row, t_ns)
+        self._count("home that neither position agrees with", int(far.sum()))
+        for vehicle in row[far].tolist():
+            if self._elsewhere_on_earth(self.home_deg_m[[vehicle]], np.array([vehicle]), t_ns[-1:]).any():
+                self.home_deg_m[vehicle] = self.home_local_ned_m[vehicle] = np.nan
+        known = _on_earth(values["latitude"], values["longitude"]) & ~far
         self.home_deg_m[row[known]] = places[known]
         local = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
-        number = np.isfinite(local).all(axis=1)
+        number = np.isfinite(local).all(axis=1) & ~far
         self.home_local_ned_m[row[number]] = local[number]
 
     def origin_unsteady(self, vehicle: int, now_ns: int) -> bool:

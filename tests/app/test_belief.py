@@ -11,8 +11,9 @@ from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mavlink.codec import FrameSplitter, message_id
 from groundstation.mission.runner import Phase
 from sitl.world import Outgoing, World, WorldConfig
-from tests.app.flights import SECOND_NS, Flight, Tamper, pair
+from tests.app.flights import SECOND_NS, Flight, Tamper, pair, still_in
 from tests.app.test_fleets import _assert_flown, _assert_on_the_ground
+from tests.app.test_take_over import _holds, _left_in_the_air
 from tests.mavlink.sender import (
     ARMED,
     COMPANION,
@@ -305,3 +306,15 @@ def test_a_second_sender_while_the_team_is_arming_is_told_as_one() -> None:
     _assert_on_the_ground(flight)
     assert flight.runner.reason.startswith("vehicle 1: two senders say that they are 1, both at emulator:1: their ")
     assert flight.now_ns < 30 * SECOND_NS
+
+
+def test_a_take_over_does_not_ask_strangers_where_the_vehicles_began() -> None:
+    """One false origin or home left one, or both, hovering: "took off 828,062 m from its pad"."""
+    sender = Sender(1)
+    plan = pair(autopilots=PX4_TWICE)
+    world = _left_in_the_air(plan, still_in(Phase.HOLD, 0.5), prepare=_holds)
+    told = sender.origin(400_000_000, 100_000_000) + sender.home(400_000_000, 100_000_000, 500.0)
+    flight = Flight(plan, world=world, tamper=_besides(lambda: told, 0.1, _always), take_over=True)
+    assert flight.runner.outcome == "completed"
+    assert not world.truth.armed.any()
+    assert (abs(world.truth.pos_enu_m - plan.pads_enu_m)[:, :2] < 1.0).all()

@@ -46,6 +46,11 @@ class Sender:
         """GPS_GLOBAL_ORIGIN."""
         return self.raw(dialect.MAVLink_gps_global_origin_message(lat_e7, lon_e7, alt_mm))
 
+    def home(self, lat_e7: int, lon_e7: int, north_m: float = 0.0) -> bytes:
+        """HOME_POSITION, so far north in the vehicle's own frame."""
+        rest = (0, north_m, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+        return self.raw(dialect.MAVLink_home_position_message(lat_e7, lon_e7, *rest))
+
     def set_origin(self, lat_deg: float, lon_deg: float, alt_m: float = 488.0, *, target: int = 1) -> bytes:
         """SET_GPS_GLOBAL_ORIGIN."""
         place = (round(lat_deg * 1e7), round(lon_deg * 1e7), round(alt_m * 1e3))

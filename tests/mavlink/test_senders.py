@@ -355,12 +355,15 @@ def _at_zurich(scene: Scene) -> bytes:
 
 def test_an_origin_that_neither_position_agrees_with_is_not_taken() -> None:
     """A vehicle whose origin was really set far away is far from it by its local position as well."""
-    here, away = (473_977_100, 85_456_000, 488_000), (400_000_000, 100_000_000)
+    here, away = (473_977_100, 85_456_000, 488_000), (400_000_000, 100_000_000, 0)
     scene = Scene()
     scene.hear(scene.sender.origin(*away))  # before there are positions anything is possible
     scene.hear(_at_zurich(scene), scene.sender.origin(*away), passed_ms=100)
     assert np.isnan(scene.fleet.origin_deg_m).all()
     scene.hear(scene.sender.origin(*here), scene.sender.origin(*away), passed_ms=100)
+    scene.hear(scene.sender.home(*here[:2], 500.0), scene.sender.home(*away[:2], 900.0))
+    np.testing.assert_allclose(scene.fleet.home_deg_m[0], [47.39771, 8.5456, 0.0])
+    assert scene.fleet.home_local_ned_m[0, 0] == 500.0
     np.testing.assert_allclose(scene.fleet.origin_deg_m[0], [47.39771, 8.5456, 488.0])
     assert scene.fleet.origin_moved_ns[0] == NEVER
     assert scene.fleet.counts["origin that neither position agrees with"] == 2

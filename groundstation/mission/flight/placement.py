@@ -92,7 +92,11 @@ class Placement:
         place, origin = fleet.place_deg_m[vehicle], fleet.origin_deg_m[vehicle]
         if not (np.isfinite(place).all() and np.isfinite(origin).all()):
             return False
-        return bool(np.linalg.norm(pymap3d.geodetic2ned(*place, *origin)) > _FAR_ORIGIN_M)
+        return not self._near(place, origin)
+
+    @staticmethod
+    def _near(place_deg_m: FloatArray, other_deg_m: FloatArray) -> bool:
+        return bool(np.linalg.norm(pymap3d.geodetic2ned(*place_deg_m, *other_deg_m)) <= _FAR_ORIGIN_M)
 
     def settle(self) -> None:
         """What is known now holds for the flight."""
@@ -119,9 +123,11 @@ class Placement:
             return
         self._next_look_ns = now_ns + _LOOK_NS
         if not self._anchor_is_given:
-            told = np.flatnonzero(self.gps & np.isfinite(fleet.home_deg_m).all(axis=1))
-            if len(told):
-                first = int(told[0])
+            # Who has told where it is, too: a home that is far from there is no home (``Fleet``).
+            both = np.flatnonzero(self.gps & np.isfinite(fleet.home_deg_m + fleet.place_deg_m).all(axis=1)).tolist()
+            told = [i for i in both if self._near(fleet.place_deg_m[i], fleet.home_deg_m[i])]
+            if told:
+                first = told[0]
                 place = fleet.home_deg_m[first]
                 self.anchor_deg_m = np.array(pymap3d.ned2geodetic(*-self.pads_ned_m[first], *place), dtype=np.float64)
                 self._anchor_is_given = True
