@@ -81,7 +81,7 @@ class Dynamics:
         motion.vel_enu_m_s += acc * dt
         motion.pos_enu_m += motion.vel_enu_m_s * dt
         motion.acc_enu_m_s2 = acc
-        self.ground.stop(motion, velocity.integral, health)
+        self.ground.stop(motion, velocity.integral, health, commands.flying & (commands.vel_sp_enu_m_s[2] >= 0.0))
         if commands.yaw_used or health.any_tumbling:
             commands.yaw_used = True
             self._heading.step(k, motion, commands, health)

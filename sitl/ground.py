@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.frames import Array
 from sitl.motion import Health, Motion
 
 _CONTACT_M = 1e-9
+_HARD_M_S, _LEANING_UP = 1.5, math.cos(math.radians(55.0))
 _PAD_REACH_M = 0.4  # a raised pad carries its vehicle that far from its middle
 
 
@@ -28,13 +32,15 @@ class Ground:
         self.posts_up = True
         self._floor_m, self._pads_enu_m = floor_m, pads_enu_m.copy()
 
-    def stop(self, motion: Motion, integral: Array, health: Health) -> None:
+    def stop(self, motion: Motion, integral: Array, health: Health, lifts: NDArray[np.bool_]) -> None:
         """Stops at the ground whoever has reached it and does not lift; friction holds what stands.
 
         Args:
             motion: of all vehicles, changed.
             integral: of their velocity loops, changed, shape (3, n).
-            health: who tumbles stays where it comes down.
+            health: who tumbles, and comes down leaning or fast, stays where it is. A motor that fails a hand's breadth
+                above the ground does no harm: the vehicle is down before it leans.
+            lifts: who wants to leave the ground, shape (n,): who tumbles then turns over.
         """
         pos, vel = motion.pos_enu_m, motion.vel_enu_m_s
         below = pos[2] <= self.height_m + _CONTACT_M
@@ -43,7 +49,10 @@ class Ground:
         if touching:
             landing = below & ~motion.on_ground
             if landing.any():
-                np.maximum(motion.touchdown_m_s, np.linalg.norm(vel, axis=0), out=motion.touchdown_m_s, where=landing)
+                speed_m_s = np.linalg.norm(vel, axis=0)
+                np.maximum(motion.touchdown_m_s, speed_m_s, out=motion.touchdown_m_s, where=landing)
+                hits = landing & ((speed_m_s > _HARD_M_S) | (motion.up_enu[2] < _LEANING_UP))
+                motion.crashed |= health.tumbling & hits
         motion.on_ground = below
         motion.any_on_ground = touching
         motion.all_on_ground = touching and bool(below.all())
@@ -56,7 +65,7 @@ class Ground:
             motion.up_enu[:2] *= keep
             motion.up_enu[2][below] = 1.0
             integral *= keep
-            motion.crashed |= health.tumbling & below
+            motion.crashed |= health.tumbling & below & lifts
         if self._floor_m is not None:
             self._find(motion)
 

@@ -41,26 +41,8 @@ class Lookout:
         """
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
-        airborne = team.standing.airborne(now_ns)
-        poses = board.trusted(poses, pose_ns, airborne, now_ns)
-        sight = Sight(
-            fleet=fleet,
-            now_ns=now_ns,
-            pos_team_ned_m=poses.pos_team_ned_m,
-            vel_ned_m_s=poses.vel_ned_m_s,
-            pose_ns=pose_ns,
-            drift_m=team.frame.drift_m(fleet, now_ns),
-            sent_ned_m_s=sent_ned_m_s,
-            ours=roster.ours,
-            steered=roster.steered & ~(roster.lands_here | board.foreign | board.hold),
-            lands_here=roster.lands_here,
-            excused=roster.told_to_land,
-            blind=board.blind,
-            airborne=airborne,
-            going_on=self._machine.going_on,
-            vel_error_ned_m_s=board.speeds.known_error_ned_m_s,
-        )
-        findings = board.look(sight)
+        poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
+        findings = board.look(self._sight(poses, sent_ned_m_s, now_ns))
         fleet.doubt_the_ground(board.flies)
         self._act(findings, poses, now_ns)
         board.wind.enter(team.figures)
@@ -70,6 +52,42 @@ class Lookout:
         # Who stands makes room for nobody.
         stands = team.landing.standing(now_ns) & (poses.extra_radius_m == 0.0)
         return replace(poses, sinking=sinking, extra_radius_m=np.where(stands, _STANDS_M, poses.extra_radius_m))
+
+    def watch_the_ground(self, poses: Poses, now_ns: int) -> None:
+        """While nobody can be told anything: tells of those that come to the ground hard.
+
+        Args:
+            poses: of the team.
+            now_ns: time of the tick.
+        """
+        team = self._team
+        sight = self._sight(poses, np.zeros_like(poses.vel_ned_m_s), now_ns)
+        findings = team.board.look(replace(sight, excused=np.ones_like(sight.excused)), only_the_ground=True)
+        for text in findings.alarms:
+            team.verdict.note("alarm", text)
+        for text in findings.failed:
+            team.verdict.abort(text)
+
+    def _sight(self, poses: Poses, sent_ned_m_s: FloatArray, now_ns: int) -> Sight:
+        team, board, roster = self._team, self._team.board, self._team.roster
+        fleet = team.fleet
+        return Sight(
+            fleet=fleet,
+            now_ns=now_ns,
+            pos_team_ned_m=poses.pos_team_ned_m,
+            vel_ned_m_s=poses.vel_ned_m_s,
+            pose_ns=team.frame.pose_ns(fleet),
+            drift_m=team.frame.drift_m(fleet, now_ns),
+            sent_ned_m_s=sent_ned_m_s,
+            ours=roster.ours,
+            steered=roster.steered & ~(roster.lands_here | board.foreign | board.hold),
+            lands_here=roster.lands_here,
+            excused=roster.told_to_land,
+            blind=board.blind,
+            airborne=team.standing.airborne(now_ns),
+            going_on=self._machine.going_on,
+            vel_error_ned_m_s=board.speeds.known_error_ned_m_s,
+        )
 
     def _act(self, findings: Findings, poses: Poses, now_ns: int) -> None:
         """Gives vehicles other duties, and the mission another phase."""

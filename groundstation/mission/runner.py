@@ -25,7 +25,7 @@ from groundstation.mission.flight.poses import Poses, out_of_sight
 from groundstation.mission.lookout import Lookout
 from groundstation.mission.orders import Orders
 from groundstation.mission.phases.machine import Machine
-from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES, Phase
+from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES, UNWATCHED_PHASES, Phase
 from groundstation.mission.phases.table import Event
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
@@ -126,6 +126,8 @@ class Runner(Told):
             self._wait_for_sight(now_ns)
         elif flying:
             poses = self._watched(out_of_sight(poses), now_ns)
+        elif self.phase in UNWATCHED_PHASES and not sightless:
+            self._guarded(now_ns, partial(self._lookout.watch_the_ground, poses, now_ns))
         # Whatever the monitors do, who has been asked to land is asked until it does.
         if self.phase is Phase.SILENT or (flying and not sightless):
             self._guarded(now_ns, partial(self._bring_down, now_ns, poses))

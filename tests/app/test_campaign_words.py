@@ -81,6 +81,14 @@ def test_a_crash_that_nobody_is_told_of(said: str, kinds: set[str]) -> None:
     assert found.untold or not kinds
 
 
+def test_a_hit_that_was_a_landing_is_no_hit() -> None:
+    scene = Scene()
+    scene.lift()
+    scene.run(6.0, 0, (0.0, 0.0, -0.5))
+    scene.say("vehicle 1: has hit the ground at 1.8 m/s, a landing ends below 1.3 m/s; look at its legs")
+    assert _kinds(scene.verdict()) == {"said_hit"}
+
+
 def test_what_was_said_long_before_is_no_word_about_a_fall() -> None:
     scene = Scene()
     scene.lift()

@@ -317,6 +317,8 @@ def test_a_killed_vehicle_falls_at_once_and_the_others_come_back(vehicle: int) -
     assert stopped[0] - told[0] <= 0.1 * SECOND_NS
     # Whoever has its pad beside the wreck is told to be near it as well.
     assert flight.runner.reason.startswith(f"vehicle {vehicle}: killed by the operator")
+    hits = [text for text in flight.texts("alarm") if "has hit the ground at " in text]
+    assert [text.split(":")[0] for text in hits if not text.startswith("aborted")] == [f"vehicle {vehicle}"]
     truth = flight.world.truth
     assert not truth.armed.any()
     assert not truth.airborne.any()
@@ -351,6 +353,8 @@ def test_kill_all_gets_through_a_link_that_loses_half_of_everything(phase: Phase
     assert not flight.world.truth.armed.any()
     assert flight.runner.done
     assert flight.now_ns - told[0] < 15 * SECOND_NS
+    if phase in (Phase.HOLD, Phase.SILENT):
+        assert any("has hit the ground at " in text for text in flight.texts("alarm"))
     _verified(log)
 
 
@@ -403,6 +407,8 @@ def test_a_killed_vehicle_that_falls_silent_is_judged_by_nobody() -> None:
 
     flight = Flight(four("on_lost=continue_open", "steps.1.hold.seconds=8"), tamper=hush, interrupt_when=look)
     assert flight.now_ns - killed[0] > 15 * SECOND_NS  # so long that a silent one of ours would be given up as lost
-    assert flight.texts("alarm") == ["aborted: vehicle 4: killed by the operator"]
+    killed_words, hit = flight.texts("alarm")  # that it fell is told; it is blamed for nothing
+    assert killed_words == "aborted: vehicle 4: killed by the operator"
+    assert hit.startswith("vehicle 4: has hit the ground at ")
     assert (flight.runner.outcome, flight.runner.reason) == ("aborted", "vehicle 4: killed by the operator")
     assert flight.phase_seen[-4:] == [Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]

@@ -152,6 +152,21 @@ def test_a_failed_motor_brings_it_down() -> None:
     assert dynamics.motion.on_ground.tolist() == [True, False]
 
 
+@pytest.mark.parametrize(("height_m", "crashes"), [(0.03, False), (0.5, True)])
+def test_a_motor_that_fails_a_hand_above_the_ground_lets_it_down_before_it_leans(
+    height_m: float, crashes: bool
+) -> None:
+    dynamics = flying("crazyflie")
+    dynamics.commands.vel_sp_enu_m_s[2] = -0.5
+    while dynamics.motion.pos_enu_m[2, 0] > height_m:
+        dynamics.step()
+    dynamics.health.tumble(0, True)
+    dynamics.health.thrust_share[0] = 0.8
+    run(dynamics, 1.0)
+    assert dynamics.motion.on_ground[0]
+    assert bool(dynamics.motion.crashed[0]) is crashes
+
+
 def test_wind_pushes_and_the_integral_holds_against_it() -> None:
     rng = np.random.default_rng(1)
     wind = Wind(mean_enu_m_s=(3.0, 0.0, 0.0), gust_sigma_m_s=0.0, gust_tau_s=2.0, n=1, step_s=STEP_S, rng=rng)

@@ -27,6 +27,7 @@ KINDS = {
     "untold": "the mission was not completed, and no reason was given",
     "said_disarmed": "a vehicle that flew was called disarmed",
     "said_in_the_air": "a vehicle that stood was called in the air",
+    "said_hit": "a vehicle that came down as landings do was said to have hit the ground",
     "said_near": "two vehicles that were well apart were called nearer than r",
     "said_sick": "a vehicle with which nothing was wrong was said to fail",
 }
@@ -34,6 +35,7 @@ KINDS = {
 
 TOUCHDOWN_MAX_M_S = 1.5
 """Landing autopilots come down at 0.3 to 0.7 m/s; a fall from 12 cm ends at 1.5 m/s."""
+_SOFT_M_S = 0.9  # who never came to the ground faster has hit nothing
 _SECOND_NS = 1_000_000_000
 _BEFORE_NS = 6 * _SECOND_NS  # what is said of a vehicle that long before it hits the ground still counts as a warning
 _BESIDE_PAD_M = 0.4
@@ -51,6 +53,7 @@ _SICK = re.compile(
     r"|its autopilot has started anew|its origin has moved|left for mode|no heartbeat|nothing heard"
     r"|no position)"
 )
+_HIT = re.compile(r"vehicle (\d+): has hit the ground")
 _LINK = re.compile(r"link (\S+): nothing heard of anybody")
 _KILLED_ALL = "everybody: killed"  # names them all: whoever reads it knows that they fall
 _WHOLE_TEAM = ("landed by the operator", _KILLED_ALL, "setpoints end")
@@ -202,6 +205,9 @@ class Witness:
         for row in self._rows(_DISARMED.findall(text)):
             if up[row] and world.autopilots[row].armed:
                 self._add("said_disarmed", at)
+        for row in self._rows(_HIT.findall(text)):
+            if world.dynamics.motion.touchdown_m_s[row] <= _SOFT_M_S:
+                self._add("said_hit", at)
         for number, _ in _SICK.findall(text):
             if any(not self._upset[row] for row in self._rows([number])):
                 self._add("said_sick", at)

@@ -24,6 +24,7 @@ from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence
 from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.monitors.sinking import Sinking
 from groundstation.mission.monitors.speeds import PoorSpeeds
+from groundstation.mission.monitors.touchdowns import Touchdowns
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
@@ -61,12 +62,12 @@ class Board:
         self.speeds, self.resting = PoorSpeeds(plan), Resting(plan)
         self.wind = Wind(plan, self.speeds)
         self._modes, self._following = Modes(plan), Following(plan, self.wind)
-        self._contradictions = Contradictions(plan)
+        self._contradictions, self._touchdowns = Contradictions(plan), Touchdowns(plan)
         self._monitors: tuple[Monitor, ...] = (
             self.resting, self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
             BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following,
-            Distance(plan), Descents(plan, self.wind, self.speeds), self._modes, Sinking(plan, self._modes),
-            LateTicks(plan), self._contradictions,
+            Distance(plan), Descents(plan, self.wind, self.speeds), self._touchdowns, self._modes,
+            Sinking(plan, self._modes), LateTicks(plan), self._contradictions,
         )  # fmt: skip
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
@@ -120,11 +121,12 @@ class Board:
         """Poses to steer by: with velocities of which is known what they are worth."""
         return self.speeds.steady(poses, self._jumps.suspect)
 
-    def look(self, sight: Sight) -> Findings:
+    def look(self, sight: Sight, *, only_the_ground: bool = False) -> Findings:
         """Looks at the fleet once per tick.
 
         Args:
             sight: what is to be seen.
+            only_the_ground: nobody can be told anything: only how vehicles come to the ground is looked at.
 
         Returns:
             What should happen.
@@ -132,7 +134,7 @@ class Board:
         findings = Findings()
         found: list[tuple[Finding, Reaction]] = []
         ours, lands = sight.ours.copy(), sight.lands_here.copy()
-        for monitor in self._monitors:
+        for monitor in (self._touchdowns,) if only_the_ground else self._monitors:
             # Here, and nowhere else, it is settled that nobody is judged who is not ours, whatever a monitor finds.
             judged = [finding.of(ours) for finding in monitor.look(sight, ours.copy())]
             found += [(finding, self._take(finding, findings, sight)) for finding in judged if finding is not None]

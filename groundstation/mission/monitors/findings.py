@@ -47,6 +47,7 @@ class Finding:
         lost: nobody knows any more where the vehicle is.
         urgent: does not wait for the end of an operator's hold.
         pair: judges two vehicles by what is between them; they are named together.
+        fate: judges nobody, and asks for nothing: it says what has become of a vehicle, whoever has it.
     """
 
     reaction: Reaction
@@ -55,6 +56,7 @@ class Finding:
     lost: bool = False
     urgent: bool = False
     pair: bool = False
+    fate: bool = False
 
     def of(self, ours: BoolArray) -> Finding | None:
         """What is left of it when nobody is judged who is not ours; None where it says something of others alone.
@@ -63,7 +65,7 @@ class Finding:
             ours: neither released nor killed, shape (n,).
         """
         rows = tuple(row for row in self.vehicles if ours[row])
-        if len(rows) == len(self.vehicles):
+        if len(rows) == len(self.vehicles) or self.fate:
             return self
         return replace(self, vehicles=rows) if rows else None
 

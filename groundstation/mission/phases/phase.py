@@ -26,4 +26,6 @@ class Phase(Enum):
 AIRBORNE_PHASES = frozenset(
     {Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.STOP, Phase.PAUSE, Phase.RETURN, Phase.LAND}
 )
+UNWATCHED_PHASES = frozenset({Phase.TAKEOVER, Phase.SILENT})
+"""In the air perhaps, and nobody can be told anything by what monitors find."""
 FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD, Phase.MOVE})
