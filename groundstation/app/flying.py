@@ -141,6 +141,8 @@ def fly_dry(
         realtime: hold it to the wall clock.
         watch: somebody else's program looks on after every tick, and Ctrl-C is its own.
     """
+    laws = LawWatch(plan, dry=True)
+    plan = laws.plan
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
     recorded = None if log_path is None else LogPlan(log_path, versions(), seed, dry_run=True, replace=True)
@@ -151,6 +153,7 @@ def fly_dry(
         with ExitStack() as at_the_desk:
             if watch is None:
                 at_the_desk.enter_context(interrupts.listening())
+            at_the_desk.enter_context(laws.listening())
             forward = _watched_along(at_the_desk, session) if realtime else None
             # A dry run in virtual time is over before anybody could say anything.
             controls, prompt = _controls(at_the_desk, session, log_path) if realtime and log_path else ((), None)
@@ -159,15 +162,23 @@ def fly_dry(
                 session,
                 world,
                 period_ns=period_ns(plan),
-                watchers=(display, meter, *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),))),
+                watchers=(
+                    display,
+                    meter,
+                    laws,
+                    *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),)),
+                ),
                 interrupts=interrupts,
                 pace=wall_clock_pace() if realtime else None,
                 controls=controls,
             )
     values = _values(session, log_path, seed) | meter.figures() | {"log_complete": _complete(flight.log)}
+    values |= laws.figures()
     record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
     _tell_refused(out, values, plan, gate)
     _tell_forward(out, forward)
+    if laws.words():
+        out.console.print(Text(laws.words(), style="bold red"))
     _finish(out, log_path, flight.manifest, values | record)
     return values | {"beside": record}
 

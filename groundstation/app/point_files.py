@@ -1,4 +1,4 @@
-"""Points that people bring along in CSV files, how they are scaled, and files that are made new or not at all."""
+"""Points that people bring along in CSV and show files, how they are scaled, and files that are made new."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.app.skyc_file import read_skyc
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_text
 from groundstation.core.own_files import claim, write_whole
@@ -14,6 +15,7 @@ from groundstation.core.types import FloatArray
 from groundstation.design.common_shapes import shortest_m
 
 _BYTES_MAX = 1 << 20
+_SHOW_MAX_S = 86_400.0
 
 
 def scale_to(points_m: FloatArray, spacing_m: float | None) -> float:
@@ -44,6 +46,20 @@ def read_points(path: Path) -> FloatArray:
     if not shortest_m(array) > 0.0:
         raise UserError(f"{path}: two points are in one place; move one of them")
     return array
+
+
+def show_points(path: Path, at_s: float) -> FloatArray:
+    """Points of a moment of a .skyc show, m.
+
+    Raises:
+        UserError: a time that no show has, as ``skyc_file.read_skyc``, or two drones in one place at that time.
+    """
+    if not 0.0 <= at_s <= _SHOW_MAX_S:
+        raise UserError(f"--at {at_s:g}: must be 0 to {_SHOW_MAX_S:.0f} s")
+    points = read_skyc(path, at_s)
+    if not shortest_m(points) > 0.0:
+        raise UserError(f"{path}: two drones are in one place at {at_s:g} s; choose another time with --at")
+    return points
 
 
 def _is_number(text: str) -> bool:

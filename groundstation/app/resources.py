@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from groundstation.app.packaged import packaged_configs, packaged_names
 from groundstation.core.choices import nearest
 from groundstation.core.errors import UserError
 from groundstation.core.files import exists, is_file
 
+__all__ = ["find_config", "find_log", "log_to_write", "packaged_configs", "packaged_names"]
 _FLIGHTS = Path("flights")
-
-
-def packaged_configs() -> Path:
-    """Folder of the configurations that come along: inside the wheel, or at the top of a checkout."""
-    package = Path(__file__).parents[1]
-    inside = package / "configs"
-    return inside if inside.is_dir() else package.parent / "configs"
 
 
 def find_config(path: Path, folder: str) -> Path:
@@ -78,8 +73,3 @@ def _logs_in(folder: Path) -> list[Path]:
         return sorted(item for item in folder.iterdir() if item.suffix == ".tlog")
     except (OSError, ValueError):
         return []
-
-
-def packaged_names(folder: str) -> list[str]:
-    """Names, without suffix, of the YAML files in ``configs/<folder>``."""
-    return sorted(item.stem for item in (packaged_configs() / folder).iterdir() if item.suffix == ".yaml")

@@ -32,7 +32,7 @@ DRY_RUN_EPOCH_UNIX_US = 1_577_836_800_000_000
 
 _BYTES_MAX = 1 << 29
 _LATEST_UNIX_US = 4_102_444_800_000_000  # 2100-01-01
-_NOT_REPEATABLE = ("wall_s", "log")
+_NOT_REPEATABLE = ("wall_s", "log", "law_time")
 """Keys of a result that differ between equal dry runs."""
 
 

@@ -7,6 +7,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -380,3 +381,69 @@ def test_the_law_of_the_page_flies_as_the_page_says(
     code, out, _ = gs([*fly, "--json", *(part for item in cheap for part in ("--set", item))], monkeypatch, capsys)
     flown = json.loads(out.splitlines()[-1])
     assert (code, flown["outcome"], flown["converged"]) == (0, "completed", True)
+
+
+@pytest.mark.parametrize(
+    ("took_ms", "every", "words"),
+    [
+        (3, 1, ""),
+        (60, 1, "less than half of the ticks are made in time: everybody comes back"),
+        (60, 10, "ticks are late, and it is said"),
+        (60, 40, ""),  # a machine that had other things to do now and then
+        (1_500, 40, "one call takes longer than limits.late_s, 1 s: everybody comes back"),
+    ],
+)
+def test_a_law_that_is_too_slow_is_told_in_a_dry_run_and_changes_nothing_in_it(
+    took_ms: int, every: int, words: str, tmp_path: Path
+) -> None:
+    file = _law(tmp_path)
+    plan = load_mission(CUBE8, [*_TWO, "law=bad_law:Law"], CodeSource((tmp_path,)))
+    assert file.exists()
+    clock = SimpleNamespace(now_ns=0, calls=0)
+    watch = LawWatch(plan, lambda: clock.now_ns, dry=True)
+    session = SimpleNamespace(notes=[])
+    answer = watch.plan.own_code["law"].make()
+    made = plan.own_code["law"].make
+    slow = replace(plan.own_code["law"], make=lambda: _slow(made(), clock, took_ms, every))
+    watch = LawWatch(replace(plan, own_code={"law": slow}), lambda: clock.now_ns, dry=True)
+    answer = watch.plan.own_code["law"].make()
+    seen = SimpleNamespace(
+        neighbours=np.ones((2, 2), bool),
+        range_m=np.ones((2, 2)),
+        distances_m=np.ones((2, 2)),
+        rel_pos_flu_m=np.zeros((2, 2, 3)),
+    )
+    for _ in range(100):
+        answer(seen)
+        watch(session, 0)  # type: ignore[arg-type]
+    assert watch.words().removesuffix(". Make it faster, or lower rate_hz").endswith(words)
+    assert bool(watch.words()) == bool(words) == bool(session.notes)
+    assert watch.figures()["law_time"]["ticks"] == 100  # type: ignore[index]
+
+
+def _slow(answer: Callable[..., Any], clock: SimpleNamespace, took_ms: int, every: int) -> Callable[..., Any]:
+    """The same law, by a clock that moves on when it is asked: each time by 1 ms, and every so often by more."""
+
+    def asked(*given: Any) -> Any:
+        clock.calls += 1
+        clock.now_ns += (took_ms if clock.calls % every == 0 else 1) * 1_000_000
+        return answer(*given)
+
+    return asked
+
+
+def test_a_slow_law_is_told_at_the_end_of_a_plain_dry_run_which_is_the_same_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    changes = [part for change in (*_TWO, "law=bad_law:Law", "rate_hz=10") for part in ("--set", change)]
+    logs = []
+    for name, line in (("quick", "pass"), ("slow", "import time; time.sleep(0.06 if 20 < self.calls < 30 else 0.0)")):
+        _law(tmp_path, line)
+        fly = ["fly", "--mission", str(CUBE8), "--dry-run", "--log", f"{name}.tlog", "--json", *changes]
+        _, out, err = gs(fly, monkeypatch, capsys)
+        answer = json.loads(out.splitlines()[-1])
+        said = " ".join(err.split())
+        logs.append(Path(f"{name}.tlog").read_bytes())
+        assert ("bad_law:Law took" in said) == bool(answer["law_time"]["words"]) == (name == "slow"), said
+    assert logs[0] == logs[1]

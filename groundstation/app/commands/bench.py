@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from groundstation.app.completing import choice
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
@@ -32,7 +33,9 @@ _OPTIONS = ("sigkill",)
 
 
 def bench(
-    name: Annotated[str, typer.Argument(help=f"What to measure: {', '.join(BENCHES)}.")],
+    name: Annotated[
+        str, typer.Argument(help=f"What to measure: {', '.join(BENCHES)}.", autocompletion=choice(*BENCHES))
+    ],
     *,
     runs: Annotated[int, typer.Option(help="Flights that are killed (sigkill).", min=1, max=10_000)] = 50,
     seed: Annotated[int, typer.Option(help="Of the first flight (sigkill).", min=0)] = 1,

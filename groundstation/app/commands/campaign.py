@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from groundstation.app.completing import packaged
 from groundstation.app.options import ForceOption, JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, UserError
@@ -20,14 +21,20 @@ if TYPE_CHECKING:
 
 def campaign(
     mission: Annotated[
-        Path | None, typer.Option("--mission", help="Mission file; the one that --vary names by default.")
+        Path | None,
+        typer.Option(
+            "--mission", help="Mission file; the one that --vary names by default.", autocompletion=packaged("missions")
+        ),
     ] = None,
     *,
     runs: Annotated[
         int | None, typer.Option(min=1, help="How many in all; by default what --vary says, or one of each cell.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random in the campaign.", min=0)] = 0,
-    vary: Annotated[Path | None, typer.Option("--vary", help="What varies (YAML), see docs/campaigns.md.")] = None,
+    vary: Annotated[
+        Path | None,
+        typer.Option("--vary", help="What varies (YAML), see docs/campaigns.md.", autocompletion=packaged("campaigns")),
+    ] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler; processes of this machine by default.")
     ] = None,

@@ -12,6 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.completing import order_words
 from groundstation.app.options import JsonOption
 from groundstation.app.order_client import ask, flights, runtime_folder
 from groundstation.app.output import Output
@@ -29,6 +30,7 @@ def command(
         typer.Argument(
             metavar="ORDER",
             help="hold, resume, return, land all, land 3, kill all, kill 3 5 or silence; nothing lists the flights.",
+            autocompletion=order_words,
         ),
     ] = None,
     *,

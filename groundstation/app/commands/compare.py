@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from groundstation.app.completing import logs
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 
 
 def compare(
-    logs: Annotated[list[Path], typer.Argument(help="Two logs or more (.tlog), the one to compare with first.")],
+    logs: Annotated[
+        list[Path], typer.Argument(help="Two logs or more (.tlog), the one to compare with first.", autocompletion=logs)
+    ],
     *,
     output: Annotated[
         Path | None,

@@ -8,6 +8,7 @@ import typer
 import typer.completion as typer_completion
 from typer._completion_shared import get_completion_script
 
+from groundstation.app.completing import choice
 from groundstation.app.output import print_text
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
@@ -19,7 +20,9 @@ COMPLETE_VARIABLE = "_GS_COMPLETE"
 _SHELLS = "bash", "zsh", "fish"
 
 
-def completion(shell: Annotated[str, typer.Argument(help="bash, zsh or fish.")]) -> None:
+def completion(
+    shell: Annotated[str, typer.Argument(help="bash, zsh or fish.", autocompletion=choice(*_SHELLS))],
+) -> None:
     """Prints a shell's completion script, for both names of the program.
 
     bash: source <(gs completion bash) in ~/.bashrc. zsh: the same in ~/.zshrc, after compinit.

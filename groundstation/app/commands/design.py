@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from groundstation.app.completing import GRAPHS, choice, packaged
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, UserError
@@ -17,14 +18,24 @@ _METHODS = "closed-form", "interior-point", "splitting", "clarabel", "cvxpy"
 
 
 def design(
-    formation: Annotated[Path, typer.Argument(help="Formation file, or the name of one that comes along.")],
+    formation: Annotated[
+        Path,
+        typer.Argument(
+            help="Formation file, or the name of one that comes along.", autocompletion=packaged("formations")
+        ),
+    ],
     *,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Gains file to write (.npz).")] = None,
-    method: Annotated[str, typer.Option(help=f"auto, {', '.join(_METHODS)}.")] = "auto",
+    method: Annotated[
+        str, typer.Option(help=f"auto, {', '.join(_METHODS)}.", autocompletion=choice("auto", *_METHODS))
+    ] = "auto",
     gap: Annotated[float | None, typer.Option(help="Certified relative gap at which to stop.")] = None,
     budget: Annotated[float | None, typer.Option(help="Seconds after which the best so far is kept.")] = None,
     graph: Annotated[
-        str | None, typer.Option("--suggest-graph", help="Propose the edges: sparse, balanced or robust.")
+        str | None,
+        typer.Option(
+            "--suggest-graph", help="Propose the edges: sparse, balanced or robust.", autocompletion=choice(*GRAPHS)
+        ),
     ] = None,
     sensing_range: Annotated[float, typer.Option("--range", help="Sensing range for a suggested graph, m.")] = math.inf,
     max_degree: Annotated[int | None, typer.Option(help="Most neighbours of an agent in a suggested graph.")] = None,

@@ -9,13 +9,14 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.completing import logs
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import CheckFailed, MissionFailed
 
 
 def identify(
-    log: Annotated[Path, typer.Argument(help="Log of a flight (.tlog).")],
+    log: Annotated[Path, typer.Argument(help="Log of a flight (.tlog).", autocompletion=logs)],
     *,
     as_json: JsonOption = False,
 ) -> None:

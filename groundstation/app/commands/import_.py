@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.completing import choice, packaged
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
@@ -19,12 +20,21 @@ _SOURCES = ("crazyswarm",)
 
 
 def import_(
-    source: Annotated[str, typer.Argument(help=f"Program that recorded the flight: {', '.join(_SOURCES)}.")],
+    source: Annotated[
+        str,
+        typer.Argument(
+            help=f"Program that recorded the flight: {', '.join(_SOURCES)}.", autocompletion=choice(*_SOURCES)
+        ),
+    ],
     folder: Annotated[Path, typer.Argument(help="Folder with its files.")],
     *,
     output: Annotated[Path, typer.Option("-o", "--output", help="Log to write (.tlog).")],
     formation: Annotated[
-        Path | None, typer.Option(help="Formation that was flown, where its files do not say; for the report.")
+        Path | None,
+        typer.Option(
+            help="Formation that was flown, where its files do not say; for the report.",
+            autocompletion=packaged("formations"),
+        ),
     ] = None,
     radius_m: Annotated[
         float | None, typer.Option(help="Safety radius r in metres, where its files do not say; for the report.", min=0)

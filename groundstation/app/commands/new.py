@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from groundstation.app.completing import GRAPHS, choice, shape_of
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
@@ -19,18 +20,28 @@ _KINDS = "formation", "law"
 
 
 def new(
-    what: Annotated[str, typer.Argument(help="formation or law.")],
+    what: Annotated[str, typer.Argument(help="formation or law.", autocompletion=choice(*_KINDS))],
     shape: Annotated[
         str,
-        typer.Argument(help="ring, line, v, grid, cube, sphere, or a CSV file of x,y,z in metres; a law's name."),
+        typer.Argument(
+            help="ring, line, v, grid, cube, sphere, a CSV file (x,y,z in metres), a .skyc show; a law's name.",
+            autocompletion=shape_of,
+        ),
     ],
     *,
-    agents: Annotated[int | None, typer.Option("--agents", "-n", help="How many; of a CSV file, as it has.")] = None,
+    agents: Annotated[int | None, typer.Option("--agents", "-n", help="How many; of a file, as it has.")] = None,
     spacing_m: Annotated[
         float | None, typer.Option("--spacing", help="Shortest distance between two agents, m.", show_default="1.0")
     ] = None,
+    at_s: Annotated[
+        float | None, typer.Option("--at", help="Time of a .skyc show, s, whose places are taken.", show_default="0")
+    ] = None,
     graph: Annotated[
-        str, typer.Option(help="Edges: complete, or a proposed graph that is sparse, balanced or robust.")
+        str,
+        typer.Option(
+            help="Edges: complete, or a proposed graph that is sparse, balanced or robust.",
+            autocompletion=choice(_COMPLETE, *GRAPHS),
+        ),
     ] = "balanced",
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File; ring12.yaml and such by default.")
@@ -45,7 +56,7 @@ def new(
         new_law(shape, output, Output(as_json=as_json), force=force)
         return
     from groundstation.app.formation_text import formation_text
-    from groundstation.app.point_files import read_points, scale_to, write_new
+    from groundstation.app.point_files import read_points, scale_to, show_points, write_new
     from groundstation.app.schema_files import schema_line, write_schema
     from groundstation.core.formation import Formation
     from groundstation.design.common_shapes import SHAPES, points_of
@@ -60,12 +71,18 @@ def new(
         raise UserError(f"--graph {graph}: {unknown(graph, (_COMPLETE, *SHARE))}")
     if spacing_m is not None and not 0.0 < spacing_m <= 1e4:
         raise UserError(f"--spacing {spacing_m:g}: must be more than 0 m and at most 10000 m")
-    is_file = shape not in SHAPES and Path(shape).suffix.lower() == ".csv"
+    suffix = Path(shape).suffix.lower() if shape not in SHAPES else ""
+    is_file = suffix in (".csv", ".skyc")
+    if at_s is not None and suffix != ".skyc":
+        raise UserError(f"--at {at_s:g}: is the time of a .skyc show, and {shape} is none; leave it out")
     if is_file and agents is not None:
         raise UserError(f"--agents {agents}: {shape} says how many there are; leave it out")
     if not is_file and agents is None:
         raise UserError("--agents: say how many, for example --agents 8")
-    points = read_points(Path(shape)) if is_file else points_of(shape, agents or 0)
+    if is_file:
+        points = read_points(Path(shape)) if suffix == ".csv" else show_points(Path(shape), at_s or 0.0)
+    else:
+        points = points_of(shape, agents or 0)
     name = Path(shape).stem if is_file else f"{shape}{agents}"
     scale = scale_to(points, spacing_m)
     pairs = tuple(itertools.combinations(range(len(points)), 2)) if graph == _COMPLETE else ((0, 1),)

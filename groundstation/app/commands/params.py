@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from groundstation.app.completing import choice
 from groundstation.app.options import ForceOption, JsonOption, MissionOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
@@ -17,7 +18,7 @@ _ACTIONS = "save", "diff", "restore"
 
 
 def params(
-    action: Annotated[str, typer.Argument(help="save, diff or restore.")],
+    action: Annotated[str, typer.Argument(help="save, diff or restore.", autocompletion=choice(*_ACTIONS))],
     mission: MissionOption,
     *,
     file: Annotated[

@@ -9,13 +9,14 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
+from groundstation.app.completing import logs
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, UserError
 
 
 def replay(
-    log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).")],
+    log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).", autocompletion=logs)],
     *,
     verify: Annotated[bool, typer.Option("--verify", help="Fly it again from its bytes, compare every bit.")] = False,
     to: Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from groundstation.app.completing import choice, logs
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
@@ -17,11 +18,19 @@ _KINDS = "svg", "pdf"
 
 
 def report(
-    logs: Annotated[list[Path], typer.Argument(help="Log of a flight or of an import (.tlog); several are compared.")],
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Log of a flight or of an import (.tlog); several are compared.", autocompletion=logs),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures and the page.")],
     *,
     also: Annotated[
-        list[str] | None, typer.Option("--also", help="svg or pdf: every picture in that kind too; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--also",
+            help="svg or pdf: every picture in that kind too; may be repeated.",
+            autocompletion=choice(*_KINDS),
+        ),
     ] = None,
     dpi: Annotated[int, typer.Option(help="Dots to the inch of the PNG pictures.", min=50, max=600)] = 100,
     force: ForceOption = False,

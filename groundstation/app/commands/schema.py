@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from groundstation.app.completing import choice
 from groundstation.app.output import print_text
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
@@ -42,7 +43,12 @@ MODELS: dict[str, Callable[[], type[BaseModel]]] = {
 
 
 def schema(
-    what: Annotated[str, typer.Argument(help="mission, formation or campaign.")],
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="mission, formation or campaign.", autocompletion=choice("mission", "formation", "campaign")
+        ),
+    ],
 ) -> None:
     """Prints the JSON schema of a file: gs schema mission > mission.schema.json.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from groundstation.app.completing import choice, packaged
 from groundstation.app.options import JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
@@ -17,10 +18,18 @@ _ACTIONS = "new", "setup"
 
 
 def signing(
-    action: Annotated[str, typer.Argument(help="new: make a key. setup: give a mission's key to its vehicles.")],
+    action: Annotated[
+        str,
+        typer.Argument(
+            help="new: make a key. setup: give a mission's key to its vehicles.", autocompletion=choice(*_ACTIONS)
+        ),
+    ],
     file: Annotated[Path | None, typer.Argument(help="new: key file to make.")] = None,
     *,
-    mission: Annotated[Path | None, typer.Option("--mission", help="setup: mission file that names the key.")] = None,
+    mission: Annotated[
+        Path | None,
+        typer.Option("--mission", help="setup: mission file that names the key.", autocompletion=packaged("missions")),
+    ] = None,
     changes: SetOption = None,
     in_the_clear: Annotated[
         bool, typer.Option("--in-the-clear", help="setup: send the key over a network too, where others may hear it.")

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from groundstation.app.completing import choice
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
 
@@ -30,7 +31,12 @@ def personality_names() -> list[str]:
 def sitl(
     *,
     vehicles: Annotated[int, typer.Option("--vehicles", "-n", help="How many vehicles, 1 to 254.")] = 8,
-    autopilot: Annotated[str, typer.Option(help=f"Who flies them: {', '.join(personality_names())}.")] = "px4",
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            help=f"Who flies them: {', '.join(personality_names())}.", autocompletion=choice(*personality_names())
+        ),
+    ] = "px4",
     port: Annotated[int, typer.Option(help="UDP port of the ground station on 127.0.0.1.")] = 14540,
     seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
     faults: Annotated[Path | None, typer.Option(help="Timetable of faults (YAML).")] = None,

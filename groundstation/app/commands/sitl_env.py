@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from groundstation.app.completing import packaged
 from groundstation.app.options import JsonOption, SetOption
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
@@ -16,7 +17,12 @@ _HOME = "47.397742,8.545594,489.4"  # where PX4's own simulator begins
 
 
 def sitl_env(
-    mission: Annotated[Path, typer.Argument(help="Mission file, as given or among those that come along.")],
+    mission: Annotated[
+        Path,
+        typer.Argument(
+            help="Mission file, as given or among those that come along.", autocompletion=packaged("missions")
+        ),
+    ],
     *,
     home: Annotated[
         str, typer.Option(help="Where the team frame has its origin: LAT,LON,ALT in degrees and metres.")

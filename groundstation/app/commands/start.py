@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.completing import packaged
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
@@ -61,7 +62,9 @@ def missions(*, as_json: JsonOption = False) -> None:
 def init(
     name: Annotated[str, typer.Argument(help="Name of the mission and of the folder that is made for it.")],
     *,
-    like: Annotated[str, typer.Option("--like", help="Mission to begin with, see gs missions.")] = "cube8",
+    like: Annotated[
+        str, typer.Option("--like", help="Mission to begin with, see gs missions.", autocompletion=packaged("missions"))
+    ] = "cube8",
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

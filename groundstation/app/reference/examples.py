@@ -8,6 +8,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "new": (
         "gs new formation ring --agents 12 --spacing 1.5",
         "gs new formation points.csv --graph complete -o mine.yaml",
+        "gs new formation show.skyc --at 42.5 --graph robust",
         "gs new law my_law",
     ),
     "fly": (
