@@ -17,6 +17,7 @@ from groundstation.mavlink.codec import Batch
 from groundstation.mavlink.station import GROUND_STATION_COMPID, GROUND_STATION_SYSID, Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
 FENCE, RALLY = 1, 2
 """MAV_MISSION_TYPE."""
@@ -29,7 +30,7 @@ _RESULTS = {
     5: "a wrong parameter", 13: "items out of order", 14: "denied",
 }  # fmt: skip
 _ANSWERS = ("MISSION_COUNT", "MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ITEM_INT", "MISSION_ACK")
-_AGAIN_NS = 1_000_000_000
+_AGAIN_NS = SECOND_NS
 _TRIES = 8
 _ITEMS_MAX = 200
 _SAME_M = 0.1

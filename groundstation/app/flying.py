@@ -35,6 +35,7 @@ from groundstation.core.errors import PreflightRefused, UserError
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission, read_spec
 from groundstation.mission.purpose import Purpose
+from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.told import Told
 from groundstation.records.manifest import (
     Manifest,
@@ -86,7 +87,7 @@ def refused_frames(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
 
 def period_ns(plan: MissionPlan) -> int:
     """Length of a tick."""
-    return round(1_000_000_000 / plan.spec.rate_hz)
+    return round(SECOND_NS / plan.spec.rate_hz)
 
 
 def log_path_of(

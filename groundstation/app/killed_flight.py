@@ -24,15 +24,15 @@ from groundstation.app.emulator import world_config
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from groundstation.mission.plan.reading import load_mission
+from groundstation.mission.timing import SECOND_NS
 from groundstation.records.replay import load_flight
 from sitl.server import Server
 from sitl.world import World
 
-_SECOND_NS = 1_000_000_000
 _LOOK_S = 0.01
-_SETTLED_NS = 3 * _SECOND_NS // 2  # after the deed: an arming that is under way shows by then
-_LIMIT_NS = 200 * _SECOND_NS
-_EXIT_NS = 30 * _SECOND_NS
+_SETTLED_NS = 3 * SECOND_NS // 2  # after the deed: an arming that is under way shows by then
+_LIMIT_NS = 200 * SECOND_NS
+_EXIT_NS = 30 * SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Watched:
     @property
     def flying_s(self) -> float:
         """Since the emulator first heard the ground station, negative before."""
-        return -1.0 if self._heard_ns is None else (self.world.now_ns - self._heard_ns) / _SECOND_NS
+        return -1.0 if self._heard_ns is None else (self.world.now_ns - self._heard_ns) / SECOND_NS
 
     @property
     def down(self) -> bool:
@@ -179,7 +179,7 @@ def fly_and(
                     late = now_ns - down_ns >= _EXIT_NS
                     if late or all(successor.poll() is not None for successor in successors):
                         stop.set()
-                elif not watched.down and not successors and now_ns - ended_ns >= take_over_s * _SECOND_NS:
+                elif not watched.down and not successors and now_ns - ended_ns >= take_over_s * SECOND_NS:
                     pilots = zip(world.autopilots, world.truth.airborne, strict=True)
                     modes = tuple(sorted({pilot.mode_name() for pilot, airborne in pilots if airborne}))
                     successor = _start(mission, folder / "take_over.tlog", sets, output, take_over=True)
@@ -196,15 +196,15 @@ def fly_and(
     deed_ns = times.get("deed", world.now_ns)
     killed_unix_us = world.config.unix_start_us + (deed_ns - world.config.start_ns + times.get("late", 0)) // 1000
     return KilledFlight(
-        after_s=watched.flying_s - (world.now_ns - deed_ns) / _SECOND_NS,
+        after_s=watched.flying_s - (world.now_ns - deed_ns) / SECOND_NS,
         modes=modes,
-        down_s=(times["down"] - deed_ns) / _SECOND_NS if "down" in times else float("nan"),
+        down_s=(times["down"] - deed_ns) / SECOND_NS if "down" in times else float("nan"),
         before_m=before_m,
         min_distance_m=watched.min_distance_m,
         exit_code=exit_code,
         take_over_code=take_over_code,
         output=(folder / "output.txt").read_text(errors="replace"),
-        late_s=server.late_ns / _SECOND_NS,
+        late_s=server.late_ns / SECOND_NS,
         **_read(log, killed_unix_us if exit_code == -signal.SIGKILL else None),
     )
 
@@ -252,7 +252,7 @@ def _read(log: Path, killed_unix_us: int | None) -> dict[str, Any]:
         values["log_message"] = flight.message or ""
         values["setpoints"] = flight.setpoints
         if killed_unix_us is not None and flight.manifest is not None:
-            values["log_lost_s"] = (killed_unix_us - flight.manifest.epoch_unix_us) / 1e6 - flight.stop_ns / _SECOND_NS
+            values["log_lost_s"] = (killed_unix_us - flight.manifest.epoch_unix_us) / 1e6 - flight.stop_ns / SECOND_NS
         if flight.setpoints:
             values["mismatches"] = verify_log(log).mismatches
     except (UserError, OSError) as error:

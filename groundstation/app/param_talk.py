@@ -24,9 +24,10 @@ from groundstation.mavlink.params import (
 from groundstation.mavlink.station import Outgoing
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 from groundstation.records.param_file import Param, Team
 
-_QUIET_NS = 1_000_000_000  # without another of the list: what is missing is asked for one by one
+_QUIET_NS = SECOND_NS  # without another of the list: what is missing is asked for one by one
 _AT_ONCE = 10  # of those, in one go
 _TRIES = 6
 _NO_INDEX = 0xFFFF

@@ -20,8 +20,9 @@ from groundstation.mavlink.station import (
 )
 from groundstation.mavlink.vehicle import ARMED_FLAG, AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 
-_HELLO_NS = 1_000_000_000
+_HELLO_NS = SECOND_NS
 
 
 @dataclass

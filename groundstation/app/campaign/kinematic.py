@@ -21,9 +21,9 @@ from groundstation.mission.ground.failsafe import first_roles
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import plan_from_record
 from groundstation.mission.roster import enlist
+from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.verdict import Figures
 
-_SECOND_NS = 1_000_000_000
 _NAME = "kinematic"
 _PROFILE = {
     "like": "crazyflie",
@@ -66,7 +66,7 @@ def kinematic_time_to_form_s(case: Case) -> float:
     vel_ned_m_s: FloatArray = np.zeros_like(pos_ned_m)
     level = np.tile([1.0, 0.0, 0.0, 0.0], (plan.size, 1))
     nobody = np.zeros(plan.size, dtype=np.bool_)
-    period_ns = round(_SECOND_NS / plan.spec.rate_hz)
+    period_ns = round(SECOND_NS / plan.spec.rate_hz)
     now_ns = 0
     flight.next_step(now_ns, Poses(pos_ned_m, vel_ned_m_s, level, nobody))
     while True:
@@ -74,5 +74,5 @@ def kinematic_time_to_form_s(case: Case) -> float:
         if math.isfinite(figures.time_to_form_s) or tick.give_up or tick.follows == "return":
             return figures.time_to_form_s
         vel_ned_m_s = tick.vel_ned_m_s
-        pos_ned_m = pos_ned_m + vel_ned_m_s * (period_ns / _SECOND_NS)
+        pos_ned_m = pos_ned_m + vel_ned_m_s * (period_ns / SECOND_NS)
         now_ns += period_ns

@@ -18,9 +18,9 @@ from groundstation.app.session import Session
 from groundstation.mavlink.codec import Encoder
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 from sitl.faults import Fault
 
-_SECOND_NS = 1_000_000_000
 _GROUND = frozenset({Phase.CONNECT, Phase.ARM})
 _MAV_TYPE_QUADROTOR, _MAV_TYPE_GCS, _MAV_TYPE_ONBOARD = 2, 6, 18
 _AUTOPILOT_INVALID, _AUTOPILOT_PX4 = 8, 12
@@ -110,11 +110,11 @@ class Plot:
             self._entered.add(phase)
             for number, event in enumerate(self._waiting):
                 if event.phase == phase:
-                    self._due.append((now_ns + round(event.delay_s * _SECOND_NS), number, event))
+                    self._due.append((now_ns + round(event.delay_s * SECOND_NS), number, event))
             self._due.sort(key=lambda item: item[:2])
         while self._due and self._due[0][0] <= now_ns:
             event = self._due.pop(0)[2]
-            self.happened.append(f"{now_ns / _SECOND_NS:.2f} s: {event.words}")
+            self.happened.append(f"{now_ns / SECOND_NS:.2f} s: {event.words}")
             self._do(event, session, now_ns)
         for stranger in self._strangers:
             stranger.speak(session, now_ns)
@@ -154,7 +154,7 @@ class _Stranger:
         self._event = event
         self._link = plan.link_of_vehicle[event.vehicle]
         self._rng = np.random.default_rng(event.seed)
-        self._end_ns = now_ns + round(event.for_s * _SECOND_NS)
+        self._end_ns = now_ns + round(event.for_s * SECOND_NS)
         self._next_ns = now_ns
         own = plan.spec.vehicles[event.vehicle].id
         ids = {
@@ -174,7 +174,7 @@ class _Stranger:
             return
         kind = self._event.stranger
         quick = kind in ("garbage", "flood")
-        self._next_ns = now_ns + (0 if kind == "flood" else _SECOND_NS // (10 if quick else 4))
+        self._next_ns = now_ns + (0 if kind == "flood" else SECOND_NS // (10 if quick else 4))
         for data in self._datagrams(kind, now_ns):
             session.deliver(self._link, self._peer, data, now_ns)
 

@@ -32,6 +32,7 @@ from groundstation.core.metrics import min_clearance
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
+from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.told import Told
 from groundstation.records.manifest import (
     manifest_path,
@@ -42,8 +43,7 @@ from sitl.faults import Fault, FaultError
 from sitl.world import World, WorldConfig
 
 Row = dict[str, Any]
-_SECOND_NS = 1_000_000_000
-_SETTLE_STEP_NS = _SECOND_NS // 2
+_SETTLE_STEP_NS = SECOND_NS // 2
 _GROUND = frozenset({Phase.CONNECT, Phase.ARM})
 _ON_PADS = frozenset({Phase.CONNECT, Phase.ARM, Phase.TAKEOFF, Phase.LAND, Phase.SILENT, Phase.DONE})
 _WORDS_MAX = 2_000
@@ -146,7 +146,7 @@ class _Flown:
         self._struck: list[str] = []  # kinds
         self._planned = [fault.kind for fault in (*faults.scheduled(), *faults.faults())]
         self._begun = sorted(
-            (round(fault.at_s * _SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
+            (round(fault.at_s * SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
         )
         self._min_m = self._min_obedient_m = self._min_clearance = math.inf
         self._upright = not self._plan.region.by_distance
@@ -171,7 +171,7 @@ class _Flown:
                 fly_virtual(
                     flight.session,
                     self._world,
-                    period_ns=round(_SECOND_NS / plan.spec.rate_hz),
+                    period_ns=round(SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
                     interrupts=self._interrupts,
                 )
@@ -190,7 +190,7 @@ class _Flown:
         runner = session.runner
         for note in session.take_notes():
             if note.kind == "alarm":
-                self._alarms.append(f"{now_ns / _SECOND_NS:.2f} s: {note.text}")
+                self._alarms.append(f"{now_ns / SECOND_NS:.2f} s: {note.text}")
                 self._witness.hear(now_ns, note.text)
         if runner.phase is not self._phase:
             self._phase = runner.phase
@@ -206,7 +206,7 @@ class _Flown:
             _, sysids, kind = self._begun.pop(0)
             self._spoil(kind, self._rows(sysids))
         self._take_empty()
-        if now_ns >= self._case.setting.limit_s * _SECOND_NS:
+        if now_ns >= self._case.setting.limit_s * SECOND_NS:
             raise _TooLongError
 
     def _strike(self, phase: Phase, now_ns: int) -> None:
@@ -214,7 +214,7 @@ class _Flown:
         faults = self._case.setting.faults
         if self._due_ns is None:
             if phase in _GROUND if faults.phase == "ground" else phase.value == faults.phase:
-                self._due_ns = now_ns + round(self._case.delay_s * _SECOND_NS)
+                self._due_ns = now_ns + round(self._case.delay_s * SECOND_NS)
             else:
                 return
         if now_ns < self._due_ns:
@@ -275,7 +275,7 @@ class _Flown:
         plan, figures, setting = self._plan, runner.figures, self._case.setting
         radius_m = plan.spec.avoidance.radius_m
         self._witness.ended(self._world.now_ns)
-        self._settle(round(setting.settle_s * _SECOND_NS))
+        self._settle(round(setting.settle_s * SECOND_NS))
         self._take_distances()
         states = [self._state(i) for i in range(plan.size)]
         ended_safely = not late and all(state in ("down", "crashed", "failsafe") for state in states)
@@ -321,7 +321,7 @@ class _Flown:
             "faults": " ".join(self._struck if self._case.events else self._planned),
             "fault_phase": faults.phase or "",
             "fault_vehicle": plan.spec.vehicles[self._case.victim].id if struck and faults.who == "one" else 0,
-            "fault_at_s": math.nan if self._struck_ns is None else self._struck_ns / _SECOND_NS,
+            "fault_at_s": math.nan if self._struck_ns is None else self._struck_ns / SECOND_NS,
             "events": "\n".join(self._plot.happened),
             "tracebacks": sum(_OWN_FAULT in alarm for alarm in self._alarms),
             **verdict.columns(),

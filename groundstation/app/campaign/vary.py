@@ -21,12 +21,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
 from groundstation.core.findings import no_boolean
+from groundstation.mission.timing import SECOND_NS
 from sitl.estimator import Noise
 from sitl.faults import Fault, FaultError, parse_fault
 from sitl.network import LinkConfig
 from sitl.world import WindConfig
 
-_SECOND_NS = 1_000_000_000
 _CELLS_MAX = 100_000
 _LABEL_MAX = 40
 _OBVIOUS = frozenset({"kind", "profile", "autopilot", "direction"})
@@ -94,8 +94,8 @@ class LinkSpec(_Strict):
     def config(self) -> LinkConfig:
         """The emulator's terms; the default is a link that carries everything at once."""
         return LinkConfig(
-            delay_ns=round(self.delay_s * _SECOND_NS),
-            jitter_ns=round(self.jitter_s * _SECOND_NS),
+            delay_ns=round(self.delay_s * SECOND_NS),
+            jitter_ns=round(self.jitter_s * SECOND_NS),
             loss=self.loss,
             duplicate=self.duplicate,
             reorder=self.reorder,

@@ -15,6 +15,7 @@ import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
 from sitl.world import World
 
 KINDS = {
@@ -36,12 +37,11 @@ KINDS = {
 TOUCHDOWN_MAX_M_S = 1.5
 """Landing autopilots come down at 0.3 to 0.7 m/s; a fall from 12 cm ends at 1.5 m/s."""
 _SOFT_M_S = 0.9  # who never came to the ground faster has hit nothing
-_SECOND_NS = 1_000_000_000
-_BEFORE_NS = 6 * _SECOND_NS  # what is said of a vehicle that long before it hits the ground still counts as a warning
+_BEFORE_NS = 6 * SECOND_NS  # what is said of a vehicle that long before it hits the ground still counts as a warning
 _BESIDE_PAD_M = 0.4
-_APART_NS = 2 * _SECOND_NS
+_APART_NS = 2 * SECOND_NS
 _APART_SPARE_M = 0.1
-_STOOD_NS = 3 * _SECOND_NS  # telemetry tells that one stands seconds after it does
+_STOOD_NS = 3 * SECOND_NS  # telemetry tells that one stands seconds after it does
 _EVERY_TICKS = 5
 _SHOWN = 2_000
 _NAMES = re.compile(r"\bvehicles? (\d+(?:(?:, | and |, and )(?:vehicle )?\d+)*)")
@@ -161,14 +161,14 @@ class Witness:
         dynamics = self._world.dynamics
         for row, t_ns in sorted(self._hit_ns.items()):
             speed = float(dynamics.motion.touchdown_m_s[row])
-            what = f"vehicle {self._id(row)} hit the ground at {speed:.1f} m/s at {t_ns / _SECOND_NS:.1f} s"
+            what = f"vehicle {self._id(row)} hit the ground at {speed:.1f} m/s at {t_ns / SECOND_NS:.1f} s"
             if not self._told((row,), t_ns - _BEFORE_NS):
                 self._add("crash_untold", what)
             yield what
 
     def _pairs_below_r(self) -> Iterable[str]:
         for (i, j), t_ns in sorted(self._near_ns.items()):
-            what = f"vehicles {self._id(i)} and {self._id(j)} below r at {t_ns / _SECOND_NS:.1f} s"
+            what = f"vehicles {self._id(i)} and {self._id(j)} below r at {t_ns / SECOND_NS:.1f} s"
             # Of one that cannot say where it is nobody can know more than that.
             since_ns = -1 if self._upset[[i, j]].any() else t_ns - _BEFORE_NS
             if not self._told((i, j), since_ns):
@@ -201,7 +201,7 @@ class Witness:
         """What can be wrong about words at the time at which they are said."""
         world = self._world
         up = ~world.dynamics.motion.on_ground
-        at = f"at {t_ns / _SECOND_NS:.1f} s: {text[:120]}"
+        at = f"at {t_ns / SECOND_NS:.1f} s: {text[:120]}"
         for row in self._rows(_DISARMED.findall(text)):
             if up[row] and world.autopilots[row].armed:
                 self._add("said_disarmed", at)
