@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 from groundstation.app.emulator import TruthMeter, world_config
 from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
-from groundstation.app.signing import open_gate
+from groundstation.mission import timing
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.purpose import Purpose
-from groundstation.mission.runner import Note, Phase, Runner
-from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, manifest_path, write_manifest
-from groundstation.records.tlog import TlogWriter
+from groundstation.mission.runner import Note, Phase
+from groundstation.records.manifest import manifest_path, write_manifest
 from sitl.world import Outgoing, World, WorldConfig
 
-SECOND_NS = 1_000_000_000
+SECOND_NS = timing.SECOND_NS
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 HALF_RATE = "rate_hz=25"
 """A tick costs the same at every rate, so this nearly halves what a flight costs."""
@@ -61,8 +62,6 @@ class Flight:
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self.gate = open_gate(plan, DRY_RUN_EPOCH_UNIX_US, keep_times=False)
-        self.runner = Runner(plan, 0, Purpose.TAKE_OVER if take_over else Purpose.FLY)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -74,31 +73,23 @@ class Flight:
         self._interrupts = Interrupts()
         self._begin_ns = self.world.now_ns
         self._limit_ns = round(limit_s * SECOND_NS)
-        writer = TlogWriter(log, 0) if log is not None else None
-        self.session = Session(self.runner, writer, self.gate)
-        fly_virtual(
-            self.session,
-            self,
-            period_ns=round(SECOND_NS / plan.spec.rate_hz),
-            watchers=(self._watch, self.meter),
-            interrupts=self._interrupts,
-        )
-        if writer is not None and log is not None:
-            writer.close()
-            write_manifest(manifest_path(log), self._manifest())
-
-    def _manifest(self) -> Manifest:
-        manifest = Manifest(
-            mission=self.plan.record(),
-            epoch_unix_us=0,
-            versions={},
-            seed=1,
-            dry_run=True,
-            take_over=self.take_over,
-            gains_npz=self.plan.gains_npz,
-        )
-        origins = self.runner.local_origins_enu_m
-        return manifest.finished({"outcome": self.runner.outcome, "local_origins_enu_m": origins})
+        recorded = None if log is None else LogPlan(log, {}, 1, dry_run=True, replace=True)
+        with ExitStack() as stack:
+            purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
+            opened = open_flight(stack, plan, purpose, log=recorded, make=Session)
+            self.session, self.gate = opened.session, opened.gate
+            self.runner = self.session.runner
+            fly_virtual(
+                self.session,
+                self,
+                period_ns=round(SECOND_NS / plan.spec.rate_hz),
+                watchers=(self._watch, self.meter),
+                interrupts=self._interrupts,
+            )
+            if opened.log is not None and opened.manifest is not None and log is not None:
+                opened.log.close()
+                ended = {"outcome": self.runner.outcome, "local_origins_enu_m": self.runner.local_origins_enu_m}
+                write_manifest(manifest_path(log), opened.manifest.finished(ended))
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """The emulator's side of the loop, with the network's mischief."""
