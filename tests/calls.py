@@ -31,6 +31,7 @@ MAY = {
     "Fleet.heartbeat_stale": "by the monitor of heartbeats, and by who waits until everybody is down",
     "Killing.not_shown": "before the phase's step, which may kill, and after it",
     "Placement.from_anchor": "the same place, compared with the pad and with the local position",
+    "TeamFrame.pose_ns": "while vehicles are taken over: for who hits the ground, and for whom to hold",
     "Team.absent": "before landings are asked for, which changes who follows, and after that",
 }
 """What may be asked twice, and why."""

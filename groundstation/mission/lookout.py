@@ -8,7 +8,7 @@ import numpy as np
 
 from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.quick import some
-from groundstation.core.types import FloatArray
+from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.phases.machine import Machine
@@ -42,7 +42,7 @@ class Lookout:
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
         poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
-        findings = board.look(self._sight(poses, sent_ned_m_s, now_ns))
+        findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))
         fleet.doubt_the_ground(board.flies)
         self._act(findings, poses, now_ns)
         board.wind.enter(team.figures)
@@ -61,14 +61,14 @@ class Lookout:
             now_ns: time of the tick.
         """
         team = self._team
-        sight = self._sight(poses, np.zeros_like(poses.vel_ned_m_s), now_ns)
+        sight = self._sight(poses, team.frame.pose_ns(team.fleet), np.zeros_like(poses.vel_ned_m_s), now_ns)
         findings = team.board.look(replace(sight, excused=np.ones_like(sight.excused)), only_the_ground=True)
         for text in findings.alarms:
             team.verdict.note("alarm", text)
         for text in findings.failed:
             team.verdict.abort(text)
 
-    def _sight(self, poses: Poses, sent_ned_m_s: FloatArray, now_ns: int) -> Sight:
+    def _sight(self, poses: Poses, pose_ns: IntArray, sent_ned_m_s: FloatArray, now_ns: int) -> Sight:
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet = team.fleet
         return Sight(
@@ -76,7 +76,7 @@ class Lookout:
             now_ns=now_ns,
             pos_team_ned_m=poses.pos_team_ned_m,
             vel_ned_m_s=poses.vel_ned_m_s,
-            pose_ns=team.frame.pose_ns(fleet),
+            pose_ns=pose_ns,
             drift_m=team.frame.drift_m(fleet, now_ns),
             sent_ned_m_s=sent_ned_m_s,
             ours=roster.ours,

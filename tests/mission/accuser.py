@@ -20,5 +20,10 @@ class Accuser:
         n = len(sight.fleet)
         for row in range(n):
             yield Finding(self._reaction, "accused", (row,), lost=True)
+            if (
+                self._reaction is not Reaction.SAY
+            ):  # what has become of somebody may be told of all, and no more than told
+                yield Finding(self._reaction, "accused as if told", (row,), fate=True)
+            yield Finding(Reaction.SAY, "accused as if told", (row,), lost=True, fate=True)
             yield Finding(self._reaction, "accused beside", (row, (row + 1) % n), pair=True)
         yield Finding(self._reaction, "accused all", tuple(range(n)), lost=True)

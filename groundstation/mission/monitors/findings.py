@@ -47,7 +47,7 @@ class Finding:
         lost: nobody knows any more where the vehicle is.
         urgent: does not wait for the end of an operator's hold.
         pair: judges two vehicles by what is between them; they are named together.
-        fate: judges nobody, and asks for nothing: it says what has become of a vehicle, whoever has it.
+        fate: judges nobody: it says what has become of a vehicle, whoever has it, and asks for nothing (``SAY``).
     """
 
     reaction: Reaction
@@ -65,7 +65,8 @@ class Finding:
             ours: neither released nor killed, shape (n,).
         """
         rows = tuple(row for row in self.vehicles if ours[row])
-        if len(rows) == len(self.vehicles) or self.fate:
+        only_told = self.fate and self.reaction is Reaction.SAY and not self.lost
+        if len(rows) == len(self.vehicles) or only_told:
             return self
         return replace(self, vehicles=rows) if rows else None
 
