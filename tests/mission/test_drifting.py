@@ -152,7 +152,7 @@ def _drifted(
         fleet.pose_ns[:] = now_ns
         quat = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
         poses = Poses(true + gone, vel + wind, quat, np.zeros(2, dtype=np.bool_))
-        trusted = watch.take(poses, fleet.pose_ns, np.zeros(2), now_ns, up)
+        trusted = watch.take(poses, fleet.pose_ns, np.zeros(2), now_ns, airborne=up)
         found += watch.look(_sight(fleet, now_ns, trusted.pos_team_ned_m, up, excused=up if lands else ~up), up)
     return watch, found, trusted.pos_team_ned_m - true
 

@@ -106,7 +106,9 @@ class Board:
             now_ns: time of the tick.
         """
         self.resting.take(poses.pos_team_ned_m, airborne)
-        trusted = self._jumps.take(poses, pose_ns, self.speeds.rms_before_m_s, now_ns, airborne)
+        trusted = self._jumps.take(
+            poses, pose_ns, self.speeds.rms_m_s, now_ns, airborne=airborne, good=self.speeds.good
+        )
         self.speeds.take(poses, pose_ns, airborne & ~(self._jumps.suspect | self._jumps.drifting | self.blind), now_ns)
         return self.resting.trusted(trusted)
 

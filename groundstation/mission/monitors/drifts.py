@@ -47,31 +47,30 @@ class Drifts:
         """How far that is, shape (n,)."""
         return norms(self.gone_ned_m)
 
-    def take(
-        self, pos_ned_m: FloatArray, vel_ned_m_s: FloatArray, fresh: BoolArray, parted: FloatArray, now_ns: int
-    ) -> None:
-        """Takes what is reported at a tick.
+    def take(self, poses: Poses, counts: BoolArray, begins: BoolArray, ends: BoolArray, now_ns: int) -> None:
+        """Takes the poses of a tick, as reported.
 
         Args:
-            pos_ned_m: shape (n, 3).
-            vel_ned_m_s: shape (n, 3).
-            fresh: reported of late, shape (n,): what is carried on by its velocity cannot part from it.
-            parted: how far position and velocity have parted of late, in shares of the limit, shape (n,).
+            poses: as reported.
+            counts: in the air and reported of late, shape (n,): what is carried on by its velocity cannot part from it.
+            begins: parts from its velocity as positions do not, shape (n,).
+            ends: hardly parts any more, shape (n,).
             now_ns: time of the tick.
         """
+        pos_ned_m, vel_ned_m_s = poses.pos_team_ned_m, poses.vel_ned_m_s
         passed_s = (now_ns - self._at_ns) / SECOND_NS if self._at_ns != NEVER else 0.0
         self._at_ns = now_ns
         more_m = pos_ned_m - self._pos - 0.5 * passed_s * (self._vel + vel_ned_m_s)
         # Not with what is no number; what is absurd comes and goes in two ticks, and both are left out.
-        counts = fresh & (norms(more_m) < _ABSURD_M)
-        more_m = np.where(counts[:, None], more_m, 0.0)
-        self._pos = np.where(fresh[:, None], pos_ned_m, np.nan)
+        told = counts & (norms(more_m) < _ABSURD_M)
+        more_m = np.where(told[:, None], more_m, 0.0)
+        self._pos = np.where(counts[:, None], pos_ned_m, np.nan)
         self._vel = vel_ned_m_s.copy()
         self._trail_m = self._trail_m * np.exp(-passed_s / _TRAIL_S) + more_m
-        begins = fresh & (parted > 1.0) & ~self.drifting
+        begins = counts & begins & ~self.drifting
         self.gone_ned_m += np.where(self.drifting[:, None], more_m, np.where(begins[:, None], self._trail_m, 0.0))
         self._trail_m[self.drifting] = 0.0
-        self.drifting = (self.drifting | begins) & ~(parted < _ENDS)
+        self.drifting = (self.drifting | begins) & ~ends
 
 
 class Astray:
@@ -95,18 +94,18 @@ class Astray:
         self._led: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._last_ns = NEVER
 
-    def take(self, poses: Poses, counts: BoolArray, away_m: FloatArray, poor_m: FloatArray, now_ns: int) -> FloatArray:
+    def take(self, poses: Poses, counts: BoolArray, good: BoolArray, away_m: FloatArray, now_ns: int) -> FloatArray:
         """Takes the poses of a tick, as reported; returns how far those have gone that drift now, shape (n,).
 
         Args:
             poses: as reported.
             counts: in the air and reported of late, without a gap, shape (n,).
+            good: those of them whose velocities were good until now, shape (n,).
             away_m: how far position and velocity have parted within the last seconds, shape (n,).
-            poor_m: how far velocities that were poor before explain, shape (n,).
             now_ns: time of the tick.
         """
         drifts, pos_ned_m = self.drifts, poses.pos_team_ned_m
-        drifts.take(pos_ned_m, poses.vel_ned_m_s, counts, away_m / np.hypot(self._quick_m, poor_m), now_ns)
+        drifts.take(poses, counts, good & (away_m > self._quick_m), away_m < _ENDS * self._quick_m, now_ns)
         # From its pad it is as far as it says, or as its velocity has led it.
         says_m = (pos_ned_m - self._pads_ned_m)[:, :2]
         led_m = says_m - drifts.gone_ned_m[:, :2]

@@ -53,8 +53,8 @@ class PoseJump:
 
     A velocity that has been poor for seconds leads astray by itself: there the limit is wider by what that explains.
 
-    Positions that two may be off against each other wander slowly: what parts from its velocity faster than they do has
-    begun to drift, long before the limit, and from then on nothing of it is forgotten. Of one that is lost its velocity
+    What parts from a velocity that was good until then, faster than positions wander, has begun to drift, long before
+    the limit, and from then on nothing of it is forgotten. Of one that is lost its velocity
     tells better where it is: a vehicle that lands follows its position, wherever that goes.
     """
 
@@ -76,17 +76,25 @@ class PoseJump:
         self._off = _Off(np.zeros(n), np.full(n, self._limit_m), np.zeros(n))
 
     def take(
-        self, poses: Poses, pose_ns: IntArray, vel_rms_m_s: FloatArray, now_ns: int, airborne: BoolArray | None = None
+        self,
+        poses: Poses,
+        pose_ns: IntArray,
+        vel_rms_m_s: FloatArray,
+        now_ns: int,
+        *,
+        airborne: BoolArray | None = None,
+        good: BoolArray | None = None,
     ) -> Poses:
         """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones.
 
         Args:
             poses: as reported.
             pose_ns: when each was measured, shape (n,).
-            vel_rms_m_s: root mean square of the error of velocities that were known to be poor before, shape (n,); zero
-                for all others.
+            vel_rms_m_s: root mean square of the error of velocities that are known to be poor, shape (n,); zero for
+                all others.
             now_ns: time of the tick.
             airborne: who flies, shape (n,); everybody when left out.
+            good: whose velocity was good until now, shape (n,); everybody's when left out.
         """
         new = self._at_ns == NEVER
         passed_s = np.where(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
@@ -98,8 +106,9 @@ class PoseJump:
         away_m = norms(apart_m)
         silent = now_ns - pose_ns > self._silent_ns
         counts = ~silent & (gap_s == 0.0) & (True if airborne is None else airborne)
-        poor_m = _LED_ASTRAY_S * vel_rms_m_s
-        away_m = np.fmax(away_m, self._astray.take(poses, counts, away_m, poor_m, now_ns))
+        parting = counts if good is None else counts & good
+        away_m = np.fmax(away_m, self._astray.take(poses, counts, parting, away_m, now_ns))
+        poor_m = np.where(self.drifting, 0.0, _LED_ASTRAY_S * vel_rms_m_s)
         allowed_m = np.hypot(self._limit_m, poor_m)
         away = ~(away_m <= allowed_m + 0.5 * self._accel_m_s2 * gap_s**2)
         kick_m_s = norms(poses.vel_ned_m_s - self._vel)
@@ -127,14 +136,14 @@ class PoseJump:
             vel_ned_m_s=np.where(rows, 0.0, poses.vel_ned_m_s),
         )
 
-    @property
-    def drifting(self) -> BoolArray:
-        """Whose position parts from its velocity faster than positions wander, shape (n,)."""
-        return self._astray.drifts.drifting
-
     def may_stand_off_m(self, vehicle: int) -> tuple[float, float] | None:
         """See ``Board.may_stand_off_m``."""
         return self._astray.may_stand_off_m(vehicle, lost=bool(self._told[vehicle]))
+
+    @property
+    def drifting(self) -> BoolArray:
+        """Whose position parts from a velocity that was good until then, shape (n,)."""
+        return self._astray.drifts.drifting
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of those whose reports have not come back; of one that lands, as long as it is not down."""

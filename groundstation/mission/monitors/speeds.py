@@ -28,7 +28,8 @@ from groundstation.mission.timing import SECOND_NS
 
 _LASTS_S = 1.0
 _SWAY_DEVIATIONS = 2.0
-_BEFORE_NS, _BEFORE_EVERY_NS = 5 * SECOND_NS // 2, SECOND_NS // 2
+_GOOD_M_S, _KNOWN_S = 0.09, 15.0  # the emulator's by GPS: 0.09 at most; of one that is shaken 0.1 and more from then on
+_BEFORE_NS, _BEFORE_EVERY_NS = 9 * SECOND_NS // 2, SECOND_NS // 2  # a drift of 0.3 m/s is found in 4 s
 _FRESH_S = 0.3  # older positions are carried on by the very velocity that is judged
 
 
@@ -40,6 +41,7 @@ class PoorSpeeds:
         self._settle_s = plan.profile.lag_s + plan.profile.delay_s
         self._speeds = Speeds(plan.size)
         self._last_ns = NEVER
+        self._known_s: FloatArray = np.zeros(plan.size)
         self._before: deque[tuple[int, FloatArray]] = deque()
         self._poor, self._hopeless = Lasting(plan.size, _LASTS_S), Lasting(plan.size, _LASTS_S)
 
@@ -52,8 +54,9 @@ class PoorSpeeds:
         fresh = now_ns - pose_ns <= _FRESH_S * SECOND_NS
         counts = np.asarray(counts & fresh, dtype=np.bool_)
         self._speeds.take(poses.pos_team_ned_m, poses.vel_ned_m_s, passed_s, counts)
+        self._known_s += passed_s * counts
         if not self._before or now_ns - self._before[-1][0] >= _BEFORE_EVERY_NS:
-            self._before.append((now_ns, self.rms_m_s))
+            self._before.append((now_ns, self._speeds.rms_m_s))
             while now_ns - self._before[0][0] > _BEFORE_NS:
                 self._before.popleft()
 
@@ -73,11 +76,13 @@ class PoorSpeeds:
         return np.asarray(self._speeds.share * self._speeds.rms_m_s)
 
     @property
-    def rms_before_m_s(self) -> FloatArray:
-        """The least of it over the last seconds, shape (n,): what begins just now may be the position."""
-        if not self._before:
-            return np.zeros_like(self._speeds.rms_m_s)
-        return np.asarray(np.minimum.reduce([rms_m_s for _, rms_m_s in self._before]))
+    def good(self) -> BoolArray:
+        """Whose velocity has been known to agree with its positions until a few seconds ago, shape (n,).
+
+        What parts from its velocity now is its position, then.
+        """
+        rms_m_s = self._before[0][1] if self._before else self._speeds.rms_m_s
+        return np.asarray((self._known_s >= _KNOWN_S) & (rms_m_s <= _GOOD_M_S))
 
     @property
     def sway_m(self) -> float:
