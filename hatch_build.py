@@ -1,9 +1,11 @@
-"""Writes the commit that a wheel or sdist is built from into it, for ``gs --version``."""
+"""Writes into a wheel or sdist what is known where it is built: the commit, and MAVLink's wire tables."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -16,13 +18,33 @@ class CommitHook(BuildHookInterface):  # type: ignore[type-arg, misc, unused-ign
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Called before files are collected; an editable installation asks git itself."""
-        if version == "editable" or (Path(self.root) / "groundstation" / "commit.txt").exists():
+        if version == "editable":
             return
+        for path, content in (
+            ("groundstation/commit.txt", self._commit_line),
+            ("groundstation/mavlink/tables.json", self._tables),
+        ):
+            text = "" if (Path(self.root) / path).exists() else content()
+            if text:
+                with tempfile.NamedTemporaryFile("w", suffix=".txt", delete=False, encoding="utf-8") as file:
+                    file.write(text)
+                build_data["force_include"][file.name] = path
+
+    def _commit_line(self) -> str:
         commit = os.environ.get("GS_COMMIT") or self._commit()
-        if commit:
-            with tempfile.NamedTemporaryFile("w", suffix=".txt", delete=False, encoding="utf-8") as file:
-                file.write(f"{commit}\n")
-            build_data["force_include"][file.name] = "groundstation/commit.txt"
+        return f"{commit}\n" if commit else ""
+
+    def _tables(self) -> str:
+        """What the wheel has in place of pymavlink; made by the module that reads it, which loads nothing else."""
+        path = Path(self.root) / "groundstation" / "mavlink" / "dialect.py"
+        spec = importlib.util.spec_from_file_location("_dialect", path)
+        if spec is None or spec.loader is None:
+            raise RuntimeError(f"{path}: cannot be loaded")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules["_dialect"] = module
+        spec.loader.exec_module(module)
+        text: str = module.to_json(module.from_pymavlink())
+        return text
 
     def _commit(self) -> str:
         """What git says; "" where there is no git or no history."""

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from groundstation.app import about
+from groundstation.mavlink.dialect import from_json, from_pymavlink
 
 _ROOT = Path(__file__).parents[1]
 
@@ -51,6 +52,7 @@ def test_wheel_and_sdist_carry_the_commit_and_all_that_they_need(
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         assert archive.read("groundstation/commit.txt") == b"feedfacecafe\n"
+        assert from_json(archive.read("groundstation/mavlink/tables.json").decode()) == from_pymavlink()
     here = {
         path.relative_to(_ROOT).as_posix()
         for folder in ("groundstation", "sitl")

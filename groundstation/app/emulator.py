@@ -16,6 +16,7 @@ import numpy as np
 from groundstation.app.session import Session
 from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
+from groundstation.core.extras import need
 from groundstation.core.metrics import min_clearance
 from groundstation.core.regions import SafetyRegion
 from groundstation.mission.ground.failsafe import make_failsafe
@@ -55,6 +56,8 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
         np.zeros(plan.size) if headings is None else np.random.default_rng(headings).uniform(-np.pi, np.pi, plan.size)
     )
     keys = read_keys(plan)
+    if any(key is not None for key in keys):
+        need("mavlink", "emulated vehicles that sign")
     key_of_vehicle = [keys[link] for link in plan.link_of_vehicle]
     wishes = make_failsafe(plan).wishes
     config = WorldConfig(

@@ -16,6 +16,7 @@ from rich.text import Text
 from groundstation.app.output import Output
 from groundstation.core.choices import nearest
 from groundstation.core.errors import UserError
+from groundstation.core.extras import need
 from groundstation.mavlink.keys import read_key
 from sitl.faults import Fault, load_faults
 from sitl.fleet import fleet
@@ -80,6 +81,8 @@ def open_server(options: SitlOptions) -> Server:
         raise UserError(f"--port: {options.port} (up to {last}) is out of range, limits 1 and 65535")
     if options.tcp_port is not None and not 1 <= options.tcp_port <= tcp_last <= 65535:
         raise UserError(f"--tcp: {options.tcp_port} (up to {tcp_last}) is out of range, limits 1 and 65535")
+    if options.signing is not None:
+        need("mavlink", "gs sitl --signing")
     key = None if options.signing is None else read_key(options.signing).setup_bytes()
     try:
         timetable: tuple[Fault, ...] = load_faults(options.faults) if options.faults else ()

@@ -1,7 +1,7 @@
 """MAVLink frames: bytes to columns of values and back, many frames of one message type at once.
 
-Layouts, sizes and CRC extras are read off pymavlink's generated message classes (dialect ``ardupilotmega``, which
-contains ``common``); no wire table is typed here. Values stay in wire units (mm, degE7, ...): whoever knows the
+Layouts, sizes and CRC extras are those that ``dialect`` read (``ardupilotmega``, which contains ``common``); no wire
+table is typed here. Values stay in wire units (mm, degE7, ...): whoever knows the
 meaning of a field converts it. A bad packet is returned as bytes that were no frame, never raised.
 
 Refuses to check or make signatures (only their presence is told; see ``signing``), and to know any vehicle, socket or
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from fastcrc import crc16
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from groundstation.mavlink.checksums import rows_checksum
+from groundstation.mavlink.dialect import dialect
 from groundstation.mavlink.layouts import (
     Layout,
     StructuredArray,
@@ -243,19 +243,18 @@ def _base_size(msgid: int) -> int:
     pymavlink's classes do not mark extensions, but their checksum covers the base fields alone: the base is the
     shortest prefix of the fields whose CRC extra comes out right.
     """
-    message = dialect.mavlink_map[msgid]
-    codes = bytes(message.native_format).decode().lstrip("<")
+    message = dialect().messages[msgid]
     names = {"b": "int8_t", "B": "uint8_t", "h": "int16_t", "H": "uint16_t", "i": "int32_t", "I": "uint32_t",
              "q": "int64_t", "Q": "uint64_t", "f": "float", "d": "double", "c": "char"}  # fmt: skip
-    text = message.msgname.encode() + b" "
+    text = message.name.encode() + b" "
     size: int = 0
-    for name, code, length in zip(message.ordered_fieldnames, codes, message.array_lengths, strict=True):
+    for name, code, length in zip(message.fields, message.codes, message.lengths, strict=True):
         text += names[code].encode() + b" " + name.encode() + b" " + (bytes([length]) if length else b"")
         size += struct.calcsize("<" + ("B" if code == "c" else code)) * max(length, 1)
         crc: int = crc16.mcrf4xx(text)
-        if (crc & 0xFF) ^ (crc >> 8) == int(message.crc_extra):
+        if (crc & 0xFF) ^ (crc >> 8) == message.crc_extra:
             return size
-    return int(message.unpacker.size)
+    return struct.calcsize(message.packing)
 
 
 _OCTET = np.dtype(np.uint8)

@@ -1,52 +1,53 @@
 """What a heartbeat says its sender is: an autopilot or not, and of which type of vehicle. Keeps nothing.
 
 Only multirotors are flown: what stops in the air and climbs straight up by a velocity setpoint. Names and numbers are
-those of MAV_TYPE and MAV_AUTOPILOT, read off pymavlink's dialect.
+those of MAV_TYPE and MAV_AUTOPILOT, out of the dialect.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
 from groundstation.mavlink.codec import Frame, message_id
+from groundstation.mavlink.dialect import dialect
 
-AUTOPILOT_INVALID = dialect.MAV_AUTOPILOT_INVALID
-TYPE_GCS = dialect.MAV_TYPE_GCS
+_number = dialect().number
+
+AUTOPILOT_INVALID = _number("MAV_AUTOPILOT_INVALID")
+TYPE_GCS = _number("MAV_TYPE_GCS")
 MULTIROTORS = frozenset(
     {
-        dialect.MAV_TYPE_QUADROTOR,
-        dialect.MAV_TYPE_COAXIAL,
-        dialect.MAV_TYPE_HEXAROTOR,
-        dialect.MAV_TYPE_OCTOROTOR,
-        dialect.MAV_TYPE_TRICOPTER,
-        dialect.MAV_TYPE_DODECAROTOR,
-        dialect.MAV_TYPE_DECAROTOR,
-        dialect.MAV_TYPE_GENERIC_MULTIROTOR,
+        _number("MAV_TYPE_QUADROTOR"),
+        _number("MAV_TYPE_COAXIAL"),
+        _number("MAV_TYPE_HEXAROTOR"),
+        _number("MAV_TYPE_OCTOROTOR"),
+        _number("MAV_TYPE_TRICOPTER"),
+        _number("MAV_TYPE_DODECAROTOR"),
+        _number("MAV_TYPE_DECAROTOR"),
+        _number("MAV_TYPE_GENERIC_MULTIROTOR"),
     }
 )
 """Types that are flown. Helicopters are not: their failsafes, landing and motors are others than those tried here."""
 _PARTS = frozenset(
     {
-        dialect.MAV_TYPE_GCS,
-        dialect.MAV_TYPE_ONBOARD_CONTROLLER,
-        dialect.MAV_TYPE_GIMBAL,
-        dialect.MAV_TYPE_ADSB,
-        dialect.MAV_TYPE_CAMERA,
-        dialect.MAV_TYPE_CHARGING_STATION,
-        dialect.MAV_TYPE_FLARM,
-        dialect.MAV_TYPE_SERVO,
-        dialect.MAV_TYPE_ODID,
-        dialect.MAV_TYPE_BATTERY,
-        dialect.MAV_TYPE_PARACHUTE,
-        dialect.MAV_TYPE_LOG,
-        dialect.MAV_TYPE_OSD,
-        dialect.MAV_TYPE_IMU,
-        dialect.MAV_TYPE_GPS,
-        dialect.MAV_TYPE_WINCH,
-        dialect.MAV_TYPE_ILLUMINATOR,
-        dialect.MAV_TYPE_GRIPPER,
+        _number("MAV_TYPE_GCS"),
+        _number("MAV_TYPE_ONBOARD_CONTROLLER"),
+        _number("MAV_TYPE_GIMBAL"),
+        _number("MAV_TYPE_ADSB"),
+        _number("MAV_TYPE_CAMERA"),
+        _number("MAV_TYPE_CHARGING_STATION"),
+        _number("MAV_TYPE_FLARM"),
+        _number("MAV_TYPE_SERVO"),
+        _number("MAV_TYPE_ODID"),
+        _number("MAV_TYPE_BATTERY"),
+        _number("MAV_TYPE_PARACHUTE"),
+        _number("MAV_TYPE_LOG"),
+        _number("MAV_TYPE_OSD"),
+        _number("MAV_TYPE_IMU"),
+        _number("MAV_TYPE_GPS"),
+        _number("MAV_TYPE_WINCH"),
+        _number("MAV_TYPE_ILLUMINATOR"),
+        _number("MAV_TYPE_GRIPPER"),
     }
 )
 _HEARTBEAT = message_id("HEARTBEAT")
@@ -97,7 +98,7 @@ def unflown_words(mav_type: int) -> str | None:
 
 def type_words(mav_type: int) -> str:
     """A MAV_TYPE for people, for example ``fixed wing (MAV_TYPE 1)``."""
-    known = dialect.enums["MAV_TYPE"].get(mav_type)
-    if known is None or known.name == "MAV_TYPE_ENUM_END":
+    known = dialect().enums["MAV_TYPE"].get(mav_type)
+    if known is None:
         return f"MAV_TYPE {mav_type}"
-    return f"{known.name.removeprefix('MAV_TYPE_').replace('_', ' ').lower()} (MAV_TYPE {mav_type})"
+    return f"{known.removeprefix('MAV_TYPE_').replace('_', ' ').lower()} (MAV_TYPE {mav_type})"

@@ -1,6 +1,6 @@
-"""How every message type lies on the wire, read off pymavlink's generated message classes.
+"""How every message type lies on the wire: columns for many of one type, packers for one.
 
-The dialect is ``ardupilotmega``, which contains ``common``; no wire table is typed here.
+Made of what ``dialect`` read; no wire table is typed here.
 """
 
 from __future__ import annotations
@@ -8,11 +8,11 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from groundstation.mavlink.dialect import Message, dialect
 
 StructuredArray = NDArray[np.void]
 
@@ -80,7 +80,7 @@ def layout(name: str) -> Layout:
 
 @cache
 def _layouts() -> dict[str, Layout]:
-    return {item.name: item for item in map(_read_layout, dialect.mavlink_map.values())}
+    return {item.name: item for item in map(_read_layout, dialect().messages.values())}
 
 
 @cache
@@ -100,10 +100,8 @@ def message_name(msgid: int) -> str | None:
     return known.name if known else None
 
 
-def _read_layout(message: Any) -> Layout:
-    names = tuple(str(name) for name in message.ordered_fieldnames)
-    codes = bytes(message.native_format).decode().lstrip("<")
-    lengths = tuple(int(length) for length in message.array_lengths)
+def _read_layout(message: Message) -> Layout:
+    names, codes, lengths = message.fields, message.codes, message.lengths
     columns: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     for name, code, length in zip(names, codes, lengths, strict=True):
         if code == "c":
@@ -113,17 +111,17 @@ def _read_layout(message: Any) -> Layout:
         else:
             columns.append((name, _NUMPY_CODES[code]))
     dtype = np.dtype(columns)
-    packer = struct.Struct(message.unpacker.format)
+    packer = struct.Struct(message.packing)
     if dtype.itemsize != packer.size:
-        raise AssertionError(f"{message.msgname}: {dtype.itemsize} bytes as columns, {packer.size} on the wire")
+        raise AssertionError(f"{message.name}: {dtype.itemsize} bytes as columns, {packer.size} on the wire")
     bytewise = "".join(
         f"{length}s" if code == "B" and length else f"{length or ''}{'s' if code == 'c' else code}"
         for code, length in zip(codes, lengths, strict=True)
     )
     return Layout(
-        str(message.msgname),
-        int(message.id),
-        int(message.crc_extra),
+        message.name,
+        message.msgid,
+        message.crc_extra,
         dtype,
         packer,
         struct.Struct(f"<{bytewise}"),

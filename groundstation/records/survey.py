@@ -16,17 +16,17 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from groundstation.core.types import IntArray
 from groundstation.mavlink.codec import Frame, layout, message_id, message_name
+from groundstation.mavlink.dialect import dialect
 
 Address = tuple[int, int]
 """System id and component id of a sender."""
 
 _HEARTBEAT = message_id("HEARTBEAT")
 _POSITIONS = frozenset({message_id("LOCAL_POSITION_NED"), message_id("GLOBAL_POSITION_INT")})
-_TYPE_GCS, _AUTOPILOT_INVALID = int(dialect.MAV_TYPE_GCS), int(dialect.MAV_AUTOPILOT_INVALID)
+_TYPE_GCS, _AUTOPILOT_INVALID = dialect().number("MAV_TYPE_GCS"), dialect().number("MAV_AUTOPILOT_INVALID")
 _GROUND_SYSID = 255  # the usual id of ground stations
 _STEP_US = 500_000
 _WINDOW_US = 5_000_000
@@ -361,5 +361,5 @@ def _boot_at(msgid: int) -> int | None:
 
 
 def _enum(group: str, value: int) -> str:
-    known = dialect.enums[group].get(value)
-    return known.name.removeprefix(f"{group}_").replace("_", " ").lower() if known is not None else f"{group} {value}"
+    known = dialect().enums[group].get(value)
+    return known.removeprefix(f"{group}_").replace("_", " ").lower() if known is not None else f"{group} {value}"

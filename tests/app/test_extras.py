@@ -69,6 +69,8 @@ def test_what_an_extra_brings_is_what_the_program_says_of_it() -> None:
         (["campaign", "--mission", "first_flight2", "--runs", "1", "-o", "out"], "distributed", "campaign"),
         (["design", "cube8", "--method", "cvxpy"], "cvxpy", "solvers"),
         (["bench", "gains"], "cvxpy", "solvers"),
+        (["bench", "codec"], "pymavlink", "mavlink"),
+        (["sitl", "--signing", "some.key"], "pymavlink", "mavlink"),
         (["vehicles", _MAVSDK_LINK], "mavsdk", "mavsdk"),
         (
             ["fly", "--mission", "first_flight2", "--set", "vehicles.0.link=mavsdk://udpin://0.0.0.0:14999"],
@@ -101,6 +103,9 @@ def test_who_needs_an_extra_says_so_in_one_line_and_does_nothing(
 def test_what_flies_looks_back_and_designs_loads_no_extra() -> None:
     """At any depth; the tutorial is typed without extras too (tests/docs)."""
     code = (
+        "import groundstation.mavlink.dialect as tables, pathlib, tempfile;"
+        "path = pathlib.Path(tempfile.mkdtemp(), 'tables.json');"  # as a wheel has them
+        "path.write_text(tables.to_json(tables.from_pymavlink())); tables.TABLES = path;"
         f"import sys; sys.modules.update(dict.fromkeys({sorted(_SOMETIMES)!r}));"
         "import groundstation.app.flying, groundstation.app.replaying, groundstation.app.report,"
         "groundstation.app.verify, groundstation.app.designing, groundstation.app.identifying"

@@ -45,6 +45,8 @@ def bench(
     out = Output(as_json=as_json)
     if name not in BENCHES:
         raise UserError(f"gs bench {name}: {unknown(name, BENCHES)}")
+    if name in ("codec", "hostile", "flood"):
+        need("mavlink", f"gs bench {name}")
     if name == "gains":
         need("solvers", "gs bench gains")
     values: dict[str, Any] = import_module(BENCHES[name]).run(
