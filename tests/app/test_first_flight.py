@@ -40,7 +40,7 @@ def test_the_first_flight_is_one_command_with_a_report_after_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert gs(["init", "mine", "--like", "hello1"], monkeypatch, capsys)[0] == 0
-    assert sorted(path.name for path in Path("mine").iterdir()) == ["README.md", "mission.yaml"]
+    assert sorted(path.name for path in Path("mine").iterdir()) == ["README.md", "mission.schema.json", "mission.yaml"]
     steps = "steps=[{hover: {seconds: 1}}]"
     code, out, _ = gs(["fly", "--mission", "mine/mission", "--dry-run", "--json", "--set", steps], monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
