@@ -184,6 +184,14 @@ def test_a_drift_that_ends_short_of_the_limit_is_no_reason_to_land_and_said_in_t
     assert told[1] == pytest.approx(1.5, rel=0.1)
 
 
+def test_by_motion_capture_a_slower_drift_is_found() -> None:
+    watch, found, _ = _drifted(pair("positioning=mocap"), 0.2, 5.0, lands=True)
+    assert [item.reaction for item in found] == [Reaction.FAILED]
+    told = watch.may_stand_off_m(1)
+    assert told is not None
+    assert 1.0 <= told[0] < 2.0
+
+
 def test_velocities_by_gps_that_wander_are_no_drift(plan: MissionPlan) -> None:
     watch, found, _ = _drifted(plan, 0.0, 120.0, lands=False, noise=0.035)
     assert found == []

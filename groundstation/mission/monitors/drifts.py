@@ -21,6 +21,7 @@ _TRAIL_S = 10.0  # so far back a drift that is found now may have begun
 _ENDS = 0.5  # of the limit: below it they part no more
 _ABSURD_M = 1000.0
 _QUICK = 0.4  # of pose_jump_m: by GPS 0.65 to 0.8 m; seen of PX4's shaken simulator: 0.66 m, of quiet ones 0.29 m
+_GOOD_M, _LEAST_M, _LATE_S = 0.1, 0.3, 0.2  # where positions are better: by motion capture 0.3 m; badly known time
 _BESIDE_M = 0.3  # and what positions are off: who is farther from its pad does not stand on it
 _SANE_M_S, _SANE_SPEEDS = 2.5, 1.5  # landing vehicles sink no faster; times the speed limit
 _REACH_S = 0.5
@@ -86,7 +87,9 @@ class Astray:
     def __init__(self, plan: MissionPlan) -> None:
         limit_m = plan.limits.pose_jump_m
         self.drifts = Drifts(plan.size)
-        self._quick_m = max(limit_m - plan.margin_m, _QUICK * limit_m)
+        quick_m = max(limit_m - plan.margin_m, _QUICK * limit_m)
+        good_m = _GOOD_M + plan.margin_m + _LATE_S * plan.spec.speed_limit_m_s
+        self._quick_m = min(quick_m, max(good_m, _LEAST_M))
         self._beside_m = _BESIDE_M + plan.margin_m
         self._sane_m_s = max(_SANE_M_S, _SANE_SPEEDS * plan.spec.speed_limit_m_s)
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
