@@ -107,7 +107,7 @@ class Board:
         """
         self.resting.take(poses.pos_team_ned_m, airborne)
         trusted = self._jumps.take(
-            poses, pose_ns, self.speeds.rms_m_s, now_ns, airborne=airborne, good=self.speeds.good
+            poses, pose_ns, self.speeds.rms_m_s, now_ns, airborne=airborne, good=self.speeds.good, calm=self.speeds.calm
         )
         self.speeds.take(poses, pose_ns, airborne & ~(self._jumps.suspect | self._jumps.drifting | self.blind), now_ns)
         return self.resting.trusted(trusted)

@@ -86,7 +86,7 @@ class Astray:
 
     def __init__(self, plan: MissionPlan) -> None:
         limit_m = plan.limits.pose_jump_m
-        self.drifts = Drifts(plan.size)
+        self.drifts, self._early = Drifts(plan.size), Drifts(plan.size)
         quick_m = max(limit_m - plan.margin_m, _QUICK * limit_m)
         good_m = _GOOD_M + plan.margin_m + _LATE_S * plan.spec.speed_limit_m_s
         self._quick_m = min(quick_m, max(good_m, _LEAST_M))
@@ -109,12 +109,19 @@ class Astray:
         """
         drifts, pos_ned_m = self.drifts, poses.pos_team_ned_m
         drifts.take(poses, counts, good & (away_m > self._quick_m), away_m < _ENDS * self._quick_m, now_ns)
+        self._early.take(poses, counts, ~good & (away_m > self._quick_m), away_m < _ENDS * self._quick_m, now_ns)
         # From its pad it is as far as it says, or as its velocity has led it.
         says_m = (pos_ned_m - self._pads_ned_m)[:, :2]
         led_m = says_m - drifts.gone_ned_m[:, :2]
         off_m = np.maximum(norms(says_m), norms(led_m)) + self._quick_m
         self._off_m = np.where(counts & (drifts.gone_m > 0.0), off_m, self._off_m)
         return np.where(drifts.drifting, drifts.gone_m, 0.0)
+
+    def own_up(self, calm: BoolArray) -> None:
+        """Of those whose velocities prove to be good, shape (n,), it was the position that went astray before."""
+        rows = calm & ~self._early.drifting
+        self.drifts.gone_ned_m[rows] += self._early.gone_ned_m[rows]
+        self._early.gone_ned_m[rows] = 0.0
 
     def lead_on(
         self, pos_ned_m: FloatArray, vel_ned_m_s: FloatArray, poses: Poses, lost: BoolArray, now_ns: int

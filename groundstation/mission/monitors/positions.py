@@ -84,6 +84,7 @@ class PoseJump:
         *,
         airborne: BoolArray | None = None,
         good: BoolArray | None = None,
+        calm: BoolArray | None = None,
     ) -> Poses:
         """Takes the poses of a tick and hands them back with trusted positions in place of suspect ones.
 
@@ -95,6 +96,7 @@ class PoseJump:
             now_ns: time of the tick.
             airborne: who flies, shape (n,); everybody when left out.
             good: whose velocity was good until now, shape (n,); everybody's when left out.
+            calm: whose velocity has agreed with its positions for seconds, shape (n,); nobody's when left out.
         """
         new = self._at_ns == NEVER
         passed_s = np.where(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
@@ -108,6 +110,8 @@ class PoseJump:
         counts = ~silent & (gap_s == 0.0) & (True if airborne is None else airborne)
         parting = counts if good is None else counts & good
         away_m = np.fmax(away_m, self._astray.take(poses, counts, parting, away_m, now_ns))
+        if calm is not None:
+            self._astray.own_up(calm)
         poor_m = np.where(self.drifting, 0.0, _LED_ASTRAY_S * vel_rms_m_s)
         allowed_m = np.hypot(self._limit_m, poor_m)
         away = ~(away_m <= allowed_m + 0.5 * self._accel_m_s2 * gap_s**2)

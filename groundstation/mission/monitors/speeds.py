@@ -24,17 +24,22 @@ from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SECOND_NS, HeldEach
 
 _LASTS_S = 1.0
 _SWAY_DEVIATIONS = 2.0
 _GOOD_M_S, _KNOWN_S = 0.09, 15.0  # the emulator's by GPS: 0.09 at most; of one that is shaken 0.1 and more from then on
 _BEFORE_NS, _BEFORE_EVERY_NS = 9 * SECOND_NS // 2, SECOND_NS // 2  # a drift of 0.3 m/s is found in 4 s
+_CALM_M_S, _CALM_NS = 0.12, 6 * SECOND_NS  # of a velocity that is shaken hardly ever so long
 _FRESH_S = 0.3  # older positions are carried on by the very velocity that is judged
 
 
 class PoorSpeeds:
-    """How good the vehicles' velocities are."""
+    """How good the vehicles' velocities are.
+
+    Attributes:
+        calm: whose velocity has agreed with its positions for seconds without a break, shape (n,).
+    """
 
     def __init__(self, plan: MissionPlan) -> None:
         self._limit_m_s, self._fastest_m_s = plan.spec.limits.velocity_error_m_s, plan.spec.speed_limit_m_s
@@ -42,6 +47,8 @@ class PoorSpeeds:
         self._speeds = Speeds(plan.size)
         self._last_ns = NEVER
         self._known_s: FloatArray = np.zeros(plan.size)
+        self._calm = HeldEach(plan.size)
+        self.calm: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._before: deque[tuple[int, FloatArray]] = deque()
         self._poor, self._hopeless = Lasting(plan.size, _LASTS_S), Lasting(plan.size, _LASTS_S)
 
@@ -55,6 +62,8 @@ class PoorSpeeds:
         counts = np.asarray(counts & fresh, dtype=np.bool_)
         self._speeds.take(poses.pos_team_ned_m, poses.vel_ned_m_s, passed_s, counts)
         self._known_s += passed_s * counts
+        calm = counts & (norms(self._speeds.error_ned_m_s) <= _CALM_M_S)
+        self.calm = self._calm(np.asarray(calm, dtype=np.bool_), now_ns, _CALM_NS)
         if not self._before or now_ns - self._before[-1][0] >= _BEFORE_EVERY_NS:
             self._before.append((now_ns, self._speeds.rms_m_s))
             while now_ns - self._before[0][0] > _BEFORE_NS:
