@@ -6,7 +6,7 @@ Refuses to decide who sends what and when.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +50,7 @@ class Transmitter:
 
     def __init__(self, state: State, downlinks: Sequence[Channel], messages: Mapping[str, Message]) -> None:
         self._state, self._downlinks, self._messages = state, downlinks, messages
-        self._pending: list[list[bytes]] = [[] for _ in downlinks]
-        self._any_pending = False
+        self._pending: list[tuple[list[int], list[bytes]]] = []  # vehicles, and a frame of each, as they were made
         self._under_way: list[_Late] = []
         self._order = 0
         self._sent: list[Outgoing] = []
@@ -69,8 +68,7 @@ class Transmitter:
     def emit(self, index: int, frame: bytes) -> None:
         """Takes a frame that a vehicle sends now."""
         if self._state.talking[index]:
-            self._pending[index].append(frame)
-            self._any_pending = True
+            self._pending.append(([index], [frame]))
 
     def make(self, name: str, vehicles: NDArray[np.int64]) -> int:
         """Makes one message type for some vehicles; returns how many were sent."""
@@ -98,31 +96,25 @@ class Transmitter:
             self._view = View(state)
         encoders = [state.pilots[i].voice.encoder for i in who]
         rows = message.make(state, self._view, vehicles)
-        pending = self._pending
-        for i, frame in zip(who, encode_batch(name, rows, encoders), strict=True):
-            pending[i].append(frame)
-        self._any_pending = True
+        self._pending.append((who, encode_batch(name, rows, encoders)))
         return len(who)
 
     def flush(self) -> None:
         """Puts what each vehicle has to send onto its link, as few datagrams as fit."""
-        if not self._any_pending:
+        if not self._pending:
             return
-        self._any_pending = False
-        state = self._state
-        for index, pending in enumerate(self._pending):
-            if not pending:
-                continue
-            frames, self._pending[index] = pending, []
-            signing = state.signing[index]
+        pending, self._pending = self._pending, []
+        state, outgoing = self._state, self._sent
+        for index, made in _by_vehicle(pending):
+            frames, signing = made, state.signing[index]
             if signing.on:
                 if state.known.has_gps[index]:
                     signing.date(state.unix_us())
-                frames = [signing.sign(frame) for frame in frames]
+                frames = [signing.sign(frame) for frame in made]
             channel = self._downlinks[index]
             for data in _datagrams(frames):
                 if channel.config is PERFECT:
-                    self._sent.append(Outgoing(state.now_ns, index, data))
+                    outgoing.append(Outgoing(state.now_ns, index, data))
                     continue
                 for t_ns, arrived in channel.carry(state.now_ns, data):
                     self._order += 1
@@ -135,10 +127,22 @@ class Transmitter:
             self._sent.append(Outgoing(late.t_ns, late.vehicle, late.data))
 
 
-def _datagrams(messages: list[bytes]) -> list[bytes]:
-    total = sum(map(len, messages))
-    if total <= _DATAGRAM_BYTES:
-        return [b"".join(messages)]
+def _by_vehicle(pending: list[tuple[list[int], list[bytes]]]) -> Iterable[tuple[int, Sequence[bytes]]]:
+    """What each vehicle has to send, in the order in which it was made; the vehicles in theirs."""
+    first = pending[0][0]
+    if all(who == first for who, _ in pending):  # mostly: types that all of them stream
+        return zip(first, zip(*(frames for _, frames in pending), strict=True), strict=True)
+    of_each: dict[int, list[bytes]] = {}
+    for who, frames in pending:
+        for index, frame in zip(who, frames, strict=True):
+            of_each.setdefault(index, []).append(frame)
+    return sorted(of_each.items())
+
+
+def _datagrams(messages: Sequence[bytes]) -> list[bytes]:
+    whole = b"".join(messages)
+    if len(whole) <= _DATAGRAM_BYTES:
+        return [whole]
     out, size, start = [], 0, 0
     for k, message in enumerate(messages):
         if size and size + len(message) > _DATAGRAM_BYTES:

@@ -182,9 +182,12 @@ def fly_virtual(
         now_ns += period_ns
         if pace is not None:
             pace(now_ns)
-        for sent in world.advance(now_ns):
-            t_rx_ns = sent.t_ns - sent.t_ns % _MICROSECOND_NS
-            session.deliver(links[sent.vehicle_index], peers[sent.vehicle_index], sent.data, t_rx_ns)
+        session.deliver_all(
+            [
+                (links[vehicle], peers[vehicle], data, t_ns - t_ns % _MICROSECOND_NS)
+                for t_ns, vehicle, data in world.advance(now_ns)
+            ]
+        )
         if not interrupts.apply(session, now_ns):
             session.settle()
             return

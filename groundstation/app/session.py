@@ -77,6 +77,14 @@ class Session:
             elif self._log is not None:
                 self._log.refused(link, peer, piece.frame, int(piece.verdict), t_rx_ns)
 
+    def deliver_all(self, datagrams: Sequence[tuple[int, str, bytes, int]]) -> None:
+        """The same for many: link, peer, bytes, time of each, in the order of their arrival."""
+        if self.gate is not None or self._streams or self.onward is not None:
+            for link, peer, data, t_rx_ns in datagrams:
+                self.deliver(link, peer, data, t_rx_ns)
+            return
+        self._arrivals.extend(datagrams)
+
     def _show(self, pieces: Sequence[Piece]) -> None:
         """Whole frames for whoever watches along."""
         if self.onward is not None:

@@ -16,6 +16,7 @@ import numpy as np
 from groundstation.app.opening import open_flight
 from groundstation.app.session import Session
 from groundstation.core.errors import CheckFailed, UserError
+from groundstation.mavlink.blocks import Arrivals
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, flagged, message_id
 from groundstation.mission.plan.own_code import CodeSource
 from groundstation.mission.plan.reading import plan_from_record
@@ -75,7 +76,13 @@ def verify_log(path: Path, code: CodeSource | None = None) -> VerifyResult:
     runner = open_flight(ExitStack(), plan, purpose, sign=False, make=Session).session.runner
     expected: list[bytes] = []
     recorded: list[Frame] = []
+    arrivals = Arrivals()
     for record in reader:
+        if isinstance(record, Received):
+            arrivals.add(record.link, record.peer, record.frame.raw, record.t_ns)
+            continue
+        if len(arrivals):
+            runner.take_block(arrivals.block())
         if isinstance(record, Tick):
             _compare(expected, recorded, result)
             recorded = []
@@ -84,8 +91,6 @@ def verify_log(path: Path, code: CodeSource | None = None) -> VerifyResult:
             result.ticks += 1
         elif isinstance(record, Sent):
             recorded.append(record.frame)
-        elif isinstance(record, Received):
-            runner.take(record.link, record.peer, (record.frame,), record.t_ns)
         elif isinstance(record, Noise):
             runner.take(record.link, record.peer, (record.data,), record.t_ns)
         elif isinstance(record, Operator):

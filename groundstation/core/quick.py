@@ -60,3 +60,11 @@ def median(values: FloatArray) -> FloatArray:
     """``np.median(values, axis=0)`` of numbers, shape (k, ...) to (...), k > 0."""
     ordered, middle = np.sort(values, axis=0), len(values) // 2
     return np.asarray(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2.0)
+
+
+def equal_rows(values: FloatArray, others: FloatArray) -> BoolArray:
+    """Which rows are the same in all columns: ``(values == others).all(axis=1)``, shape (k, m) to (k,)."""
+    same: BoolArray = values == others
+    if not some(same):
+        return np.zeros(len(same), dtype=np.bool_)
+    return np.asarray(same.all(axis=1))

@@ -9,7 +9,7 @@ Streams, whose frames come in pieces, and links on which signatures are checked 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -192,6 +192,16 @@ class Arrivals:
         number = self._number
         self._items.append((link, number.setdefault((link, peer), len(number)), t_rx_ns, data))
         self.size += len(data)
+
+    def extend(self, datagrams: Iterable[tuple[int, str, bytes, int]]) -> None:
+        """Takes many datagrams: link, peer, bytes, time of each."""
+        number, items = self._number, self._items
+        before = len(items)
+        items += [
+            (link, number.setdefault((link, peer), len(number)), t_rx_ns, data)
+            for link, peer, data, t_rx_ns in datagrams
+        ]
+        self.size += sum([len(item[3]) for item in items[before:]])
 
     def datagrams(self) -> list[tuple[int, str, bytes, int]]:
         """Hands out the datagrams one by one: link, peer, bytes, time."""

@@ -42,6 +42,7 @@ from groundstation.mavlink.splitting import (
     FrameSplitter,
     Piece,
     Splitters,
+    plain_frame,
     whole_frame,
 )
 
@@ -69,6 +70,7 @@ __all__ = [
     "layout",
     "message_id",
     "message_name",
+    "plain_frame",
     "whole_frame",
 ]
 

@@ -106,6 +106,9 @@ class ParamDesk:
 
     Args:
         n: number of vehicles.
+
+    Attributes:
+        changes: how often what is known of each vehicle's has changed.
     """
 
     def __init__(self, n: int) -> None:
@@ -115,6 +118,7 @@ class ParamDesk:
         self._next_ns = [0] * n
         self._sent = [0] * n
         self._answered = [0] * n
+        self.changes = [0] * n
         self._settled = [False] * n  # nothing is asked for, and nothing has changed since that was seen
 
     def pace(self, vehicle: int, *, spacing_ns: int, delay_ns: int = 0) -> None:
@@ -131,22 +135,24 @@ class ParamDesk:
         if len(name.encode()) > _NAME_BYTES:
             raise ValueError(f"parameter {name}: longer than {_NAME_BYTES} bytes")
         self._entries[vehicle].setdefault(name, _Entry())
-        self._settled[vehicle] = False
+        self._changed(vehicle)
 
     def write(self, vehicle: int, name: str, bits: int, kind: int) -> None:
         """Sets a parameter; until the vehicle has told its value again, it counts as asked for."""
         self._entries[vehicle][name] = _Entry(write=(bits, kind), value=self.value(vehicle, name))
-        self._settled[vehicle] = False
+        self._changed(vehicle)
 
     def drop(self, vehicle: int, name: str) -> None:
         """Takes a question back; what is known stays."""
         entry = self._entries[vehicle].get(name)
         if entry is not None and entry.state is ParamState.ASKED:
             del self._entries[vehicle][name]
+            self._changed(vehicle)
 
     def forget(self, vehicle: int) -> None:
         """Forgets all of a vehicle: it has started anew, or nothing may be asked of it any more."""
         self._entries[vehicle].clear()
+        self._changed(vehicle)
 
     def state(self, vehicle: int, name: str) -> ParamState | None:
         """What is known of a parameter; None where nobody asked."""
@@ -163,7 +169,7 @@ class ParamDesk:
         entry = self._entries[value.vehicle].get(value.name)
         if entry is None:
             return
-        self._settled[value.vehicle] = False
+        self._changed(value.vehicle)
         if entry.write is not None and entry.write[0] != value.bits:
             entry.others += 1
             if entry.others < _OTHERS:  # may be the late answer to a question from before
@@ -183,6 +189,7 @@ class ParamDesk:
             if not self._answered[vehicle] and any(e.state is ParamState.UNKNOWN for e in entries.values()):
                 for entry in entries.values():  # it answers no such question at all
                     entry.state = ParamState.UNKNOWN
+                self.changes[vehicle] += 1
             self._settled[vehicle] = not any(entry.state is ParamState.ASKED for entry in entries.values())
             for name, entry in entries.items():
                 if entry.state is not ParamState.ASKED:
@@ -192,6 +199,7 @@ class ParamDesk:
                     continue
                 if entry.tries >= self._enough(vehicle):
                     entry.state, entry.write = ParamState.UNKNOWN, None
+                    self.changes[vehicle] += 1
                     continue
                 if under_way >= _AT_ONCE or now_ns < self._next_ns[vehicle]:
                     continue
@@ -202,6 +210,10 @@ class ParamDesk:
                 bits, kind = entry.write or (None, REAL32)
                 questions.append(ParamQuestion(vehicle, name, bits, kind))
         return questions
+
+    def _changed(self, vehicle: int) -> None:
+        self.changes[vehicle] += 1
+        self._settled[vehicle] = False
 
     def _enough(self, vehicle: int) -> int:
         """Tries after which silence means that there is no such parameter."""

@@ -93,6 +93,11 @@ class Senders:
         """Nothing has ever been suspicious that ``alternating`` would tell of."""
         return all(item.quiet for item, _ in self._words) and all(len(boards) < 2 for boards in self._boards.values())
 
+    @property
+    def all_alike(self) -> bool:
+        """No heartbeat was ever of a kind that the vehicle is not."""
+        return not self._strange
+
     def part(self, vehicle: int, now_ns: int) -> Kind | None:
         """What else has been speaking as the autopilot of late, without being one."""
         kind, t_ns = self._parts.get(vehicle, (None, 0))

@@ -98,7 +98,7 @@ class FrameSplitter:
             Good frames, and runs of bytes that were none, in the order of arrival.
         """
         if not self._held:
-            plain = _plain_frame(data)
+            plain = plain_frame(data)
             if plain is not None:
                 return [plain]
         buffer = self._held + data if self._held else data
@@ -202,7 +202,7 @@ def _frame(buffer: bytes, start: int, extent: _Extent) -> Frame:
     return Frame(msgid, sysid, compid, seq, payload, buffer[start:stop], 2 if header == HEADER_V2 else 1, signed)
 
 
-def _plain_frame(raw: bytes) -> Frame | None:
+def plain_frame(raw: bytes) -> Frame | None:
     """Reads what mostly comes: one unsigned frame of MAVLink 2, nothing else; None for all that takes a closer look."""
     size = len(raw) - (HEADER_V2 + CRC_BYTES)
     if size < 0 or raw[0] != MAGIC_V2 or raw[1] != size or raw[2]:
@@ -218,7 +218,7 @@ def whole_frame(raw: bytes) -> Frame | None:
     """Reads bytes that are one frame and nothing else; None when they are not."""
     if not raw or raw[0] not in (MAGIC_V1, MAGIC_V2):
         return None
-    plain = _plain_frame(raw)
+    plain = plain_frame(raw)
     if plain is not None:
         return plain
     extent = _extent(raw, 0)

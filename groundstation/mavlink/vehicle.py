@@ -387,6 +387,8 @@ class Fleet:
 
     def twin_behind_one_address(self, vehicle: int, now_ns: int) -> str | None:
         """The same of one whose frames cannot be told from the vehicle's own: they come from the same address."""
+        if self._all_quiet():
+            return None
         alternating = self.senders.alternating(vehicle, now_ns)
         if alternating is not None:
             return f"two senders say that they are {self.sysid[vehicle]}, both at {self.peer[vehicle]}: {alternating}"
@@ -398,10 +400,14 @@ class Fleet:
             )
         return None
 
+    def _all_quiet(self) -> bool:
+        """Whether nothing of any vehicle has ever gone to and fro."""
+        times = (self._position_times, self._place_times, self._attitude_times)
+        return self.senders.quiet and all(item.quiet for item in times)
+
     def twins_behind_one_address(self, now_ns: int) -> dict[int, str]:
         """The same of everybody: words by row, of those that are two."""
-        times = (self._position_times, self._place_times, self._attitude_times)
-        if self.senders.quiet and all(item.quiet for item in times):
+        if self._all_quiet():
             return {}
         found = ((row, self.twin_behind_one_address(row, now_ns)) for row in range(len(self)))
         return {row: words for row, words in found if words is not None}

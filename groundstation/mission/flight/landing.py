@@ -108,6 +108,7 @@ class Landing:
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
         self._on_ground = HeldEach(n)
         self._said_yes: set[tuple[int, str]] = set()
+        self._told: tuple[tuple[int, ...], BoolArray] = ((), np.zeros(n, dtype=np.bool_))  # modes, and which land
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""
@@ -173,8 +174,11 @@ class Landing:
     def _scene(self, around: Around, on_ground: BoolArray) -> Scene:
         """What ``spots`` sees of the team."""
         fleet, roster, autopilots = self._fleet, self._roster, self._plan.autopilots
-        modes = fleet.custom_mode.tolist()
-        lands: BoolArray = np.array([a.is_landing_mode(mode) for a, mode in zip(autopilots, modes, strict=True)])
+        modes = tuple(fleet.custom_mode.tolist())
+        if modes != self._told[0]:
+            pairs = zip(autopilots, modes, strict=True)
+            self._told = modes, np.array([autopilot.is_landing_mode(mode) for autopilot, mode in pairs])
+        lands = self._told[1]
         down = on_ground | ~fleet.armed
         sinks = (roster.told_to_land | lands) & ~down & ~around.blind
         loose = ~(around.led | down | around.blind | sinks) & (~roster.ours | around.foreign)

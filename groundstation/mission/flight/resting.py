@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import finite_rows
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -30,7 +31,7 @@ class Rest:
 
     def take(self, pos_ned_m: FloatArray, stands: BoolArray) -> None:
         """Takes positions of a tick, shape (n, 3), and who stands, shape (n,)."""
-        known: BoolArray = np.asarray(np.isfinite(pos_ned_m).all(axis=1))
+        known = finite_rows(pos_ned_m)
         new = stands & known & np.isnan(self.place_ned_m[:, 0])
         self.place_ned_m = np.where(stands[:, None], self.place_ned_m, np.nan)
         self.place_ned_m[new] = pos_ned_m[new]

@@ -34,6 +34,7 @@ class _Vehicle:
     findings: list[Finding] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     told: int = 0
+    judged: int = -1
     done: bool = False
 
 
@@ -78,7 +79,8 @@ class ParameterCheck:
             for rule in self._rules[vehicle]:
                 for name, _ in rule.names:
                     desk.read(vehicle, name)
-        if not of.done:
+        if not of.done and of.judged != desk.changes[vehicle]:
+            of.judged = desk.changes[vehicle]
             self._judge(vehicle, of)
 
     def stop(self, vehicle: int) -> None:

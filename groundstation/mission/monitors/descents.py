@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import between, norms
+from groundstation.core.quick import between, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.speeds import PoorSpeeds
@@ -43,6 +43,11 @@ class Descents:
         """Tells of those that fall, roll over, disarm in the air or end elsewhere."""
         fleet, now_ns = sight.fleet, sight.now_ns
         lands = sight.excused & ours & ~sight.blind
+        if not some(lands):
+            self._was_armed = fleet.armed.copy()
+            for nobody in (self._tilted, self._falls, self._cut, self._ended):
+                nobody(lands, now_ns)
+            return
         first = lands & np.isnan(self._from_ned_m[:, 0])
         self._from_ned_m[first] = sight.pos_team_ned_m[first]
         quat = fleet.quat_ned_from_frd

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from groundstation.core.quick import between, every, norms
+from groundstation.core.quick import between, equal_rows, every, norms, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
@@ -176,7 +176,7 @@ class LinkSilence:
         """Tells of a link that has several vehicles, all of them silent."""
         silent = sight.fleet.silent(sight.now_ns, self._limit_s)
         down = np.zeros(len(self._links), dtype=np.bool_)
-        for link in range(len(self._links)):
+        for link in range(len(self._links) if some(silent) else 0):
             here = (self._link_of_vehicle == link) & ours
             down[link] = here.sum() > 1 and every(silent[here])
         for link in self._lasting(down, sight.now_ns):
@@ -220,7 +220,7 @@ class Frozen:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Lands those whose position stands still to the last bit."""
         fleet = sight.fleet
-        same = (fleet.pos_local_ned_m == self._pos).all(axis=1)
+        same = equal_rows(fleet.pos_local_ned_m, self._pos)
         self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
         self._pos, self._pose_ns = fleet.pos_local_ned_m.copy(), fleet.pose_ns.copy()
         frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
@@ -48,12 +49,16 @@ class Modes:
         self._autopilots = plan.autopilots
         self._lasting = Lasting(plan.size, _MODE_LOST_S)
         self.foreign: BoolArray = np.zeros(plan.size, dtype=np.bool_)
+        self._told: tuple[tuple[int, ...], BoolArray] = ((), self.foreign)  # modes, and which of them stream
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Releases those that have left, for good."""
         fleet = sight.fleet
-        modes = zip(self._autopilots, fleet.custom_mode.tolist(), strict=True)
-        follows = np.array([autopilot.is_streaming_mode(mode) for autopilot, mode in modes]) & fleet.armed
+        modes = tuple(fleet.custom_mode.tolist())
+        if modes != self._told[0]:
+            pairs = zip(self._autopilots, modes, strict=True)
+            self._told = modes, np.array([autopilot.is_streaming_mode(mode) for autopilot, mode in pairs])
+        follows = self._told[1] & fleet.armed
         # The heartbeat tells a new mode up to a second late; that it is landing, EXTENDED_SYS_STATE tells sooner.
         self.foreign = (~follows | (fleet.landed_state == LANDED_LANDING)) & fleet.armed
         # While two senders take turns nobody knows whose mode that is; that there are two is told soon.
@@ -116,6 +121,7 @@ class _Stage:
     def __init__(self, n: int, reaction: Reaction, word: str, share: float, volts: float | None) -> None:
         self.reaction, self._word, self._share, self._volts = reaction, word, share, volts
         self._first_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._any_low = False
         self._lasting = Lasting(n)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[tuple[int, str]]:
@@ -123,6 +129,9 @@ class _Stage:
         share: FloatArray = fleet.battery_remaining
         low_share = share < self._share  # NaN is not
         low = low_share if self._volts is None else low_share | (fleet.battery_v < self._volts)
+        if not (some(low) or self._any_low):
+            return
+        self._any_low = some(low)
         self._first_ns = np.where(low, np.where(self._first_ns == NEVER, fleet.status_ns, self._first_ns), NEVER)
         for vehicle in self._lasting(low & (fleet.status_ns > self._first_ns) & ours, sight.now_ns):
             if low_share[vehicle]:

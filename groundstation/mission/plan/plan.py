@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from groundstation.core.formation import Formation
@@ -66,28 +67,28 @@ class MissionPlan(LinkPlan, FormationPlan):
     limits: Limits
     own_code: Mapping[str, OwnCode] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def region(self) -> SafetyRegion:
         """What is kept clear around every vehicle, without the margin."""
         return region_of(self.spec, self.profile)
 
-    @property
+    @cached_property
     def room_with_pads_m(self) -> float:
         """What the formations and the pads leave between two safety regions at least."""
         return min(self.room_m, self.region.room_m(all_offsets(self.pads_enu_m)))
 
-    @property
+    @cached_property
     def keep_out_margin_m(self) -> float:
         """What is added to r and d, as far as there is room: for positions that are off, and for gusts."""
         return grown_by_m(self.margin_m, self.gust_margin_m)
 
-    @property
+    @cached_property
     def keep_place_1_s(self) -> float:
         """Share of the team's offset from its place that is taken back in a second: slow against every lag."""
         given = self.spec.keep_place_1_s
         return _KEEP_PLACE_1_S / max(1.0, self.profile.lag_s + self.profile.delay_s) if given == "auto" else given
 
-    @property
+    @cached_property
     def slowness(self) -> float:
         """How many times more gently points are approached because of the links' delay; 1 without any."""
         own = replace(self.profile, delay_s=slowest(self.vehicle_profiles).delay_s)

@@ -21,7 +21,7 @@ def read_px4(fields: Fields, t_ns: int, origin_enu_m: Sequence[float], yaw_enu_r
     frame, mask = fields["coordinate_frame"], fields["type_mask"]
     if frame not in (LOCAL_NED, BODY_NED):
         raise ValueError(f"coordinate frame {frame} unsupported")
-    vx, vy, vz, px, py, pz = (fields[name] for name in ("vx", "vy", "vz", "x", "y", "z"))
+    vx, vy, vz, px, py, pz = fields["vx"], fields["vy"], fields["vz"], fields["x"], fields["y"], fields["z"]
     north = None if mask & 8 or not isfinite(vx) else vx
     east = None if mask & 16 or not isfinite(vy) else vy
     down = None if mask & 32 or not isfinite(vz) else vz
