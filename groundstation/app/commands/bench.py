@@ -21,6 +21,7 @@ from groundstation.core.extras import need
 
 BENCHES = {
     "avoidance": "groundstation.app.bench_avoidance",
+    "dryrun": "groundstation.app.bench_dryrun",
     "flight": "groundstation.app.bench_flight",
     "codec": "groundstation.app.bench_codec",
     "flood": "groundstation.app.bench_flood",
