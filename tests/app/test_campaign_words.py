@@ -114,6 +114,22 @@ def test_who_lands_on_one_that_stands_there_is_no_completed_mission() -> None:
     assert _kinds(scene.verdict()) == set()
 
 
+@pytest.mark.parametrize(
+    ("drift_m_s", "found"),
+    [(0.08, set()), (0.4, {"pad_untold", "completed_untrue"}), (0.0, {"pad_untold", "completed_untrue"})],
+)
+def test_of_a_position_that_creeps_nobody_can_know(drift_m_s: float, found: set[str]) -> None:
+    scene = Scene()
+    scene.lift()
+    estimator = scene.world.state.estimator
+    estimator.drift_enu_m_s[1, 0] = drift_m_s
+    estimator.refresh()
+    scene.run(0.8 / (drift_m_s or 0.4), 0, (0.0, -(drift_m_s or 0.4), 0.0))
+    estimator.drift_enu_m_s[1, 0] = 0.0
+    scene.run(6.0, 0, (0.0, 0.0, -0.5))
+    assert _kinds(scene.verdict("completed", "")) == found
+
+
 def test_who_flies_on_or_stays_armed_is_named() -> None:
     scene = Scene()
     scene.lift()

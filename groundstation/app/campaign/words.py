@@ -43,6 +43,9 @@ _APART_NS = 2 * SECOND_NS
 _APART_SPARE_M = 0.1
 _STOOD_NS = 3 * SECOND_NS  # telemetry tells that one stands seconds after it does
 _EVERY_TICKS = 5
+# docs/safety.md, "Positions that drift": slower ones nothing aboard tells from a velocity that is a little off
+_CREEPS_M_S = {"mocap": 0.1, "rtk": 0.1, "gps": 0.25}
+_AT_ONCE_M = 0.01
 _SHOWN = 2_000
 _NAMES = re.compile(r"\bvehicles? (\d+(?:(?:, | and |, and )(?:vehicle )?\d+)*)")
 _TWINS = re.compile(r"say that they are (\d+)")
@@ -88,6 +91,9 @@ class Witness:
         self._stands_since_ns: IntArray = np.zeros(n, dtype=np.int64)
         self._last_far_ns: IntArray = np.full((n, n), -_APART_NS)
         self._last_near_ns: IntArray = np.full((n, n), -_APART_NS)
+        self._offset_enu_m: FloatArray = world.state.estimator.offset_enu_m.copy()
+        self._offset_max_m: FloatArray = np.zeros(n)
+        self._crept: BoolArray = np.ones(n, dtype=np.bool_)
         self._ticks = 0
         self._upset: BoolArray = np.zeros(n, dtype=np.bool_)
         self._end_ns = 0
@@ -116,9 +122,29 @@ class Witness:
         self._stands_since_ns = np.where(stands, np.where(self._stands_since_ns < 0, now_ns, self._stands_since_ns), -1)
         for row in np.flatnonzero(motion.crashed | (motion.touchdown_m_s > TOUCHDOWN_MAX_M_S)).tolist():
             self._hit_ns.setdefault(row, now_ns)
+        self._take_offsets()
         self._ticks += 1
         if self._ticks % _EVERY_TICKS == 0:
             self._take_pairs(now_ns, pairs_m())
+
+    def _take_offsets(self) -> None:
+        """How far positions lie, and whether any went faster than a creep."""
+        estimator = self._world.state.estimator
+        if not estimator.faulty:
+            return
+        more_m = np.linalg.norm(estimator.offset_enu_m - self._offset_enu_m, axis=0)
+        speed_m_s = np.linalg.norm(estimator.drift_enu_m_s, axis=0)
+        at_once = (more_m > _AT_ONCE_M) & (speed_m_s == 0.0)
+        self._crept &= ~at_once & (speed_m_s <= _CREEPS_M_S[self._plan.positioning])
+        self._offset_enu_m = estimator.offset_enu_m.copy()
+        np.fmax(self._offset_max_m, np.linalg.norm(estimator.offset_enu_m, axis=0), out=self._offset_max_m)
+
+    def _unknowable_m(self) -> FloatArray:
+        """How far each may be from where it should be without anybody being able to know it, shape (n,).
+
+        That is as far as its position lies, when it crept there, or when that is less than a jump's limit.
+        """
+        return np.where(self._crept | (self._offset_max_m <= self._plan.limits.pose_jump_m), self._offset_max_m, 0.0)
 
     def _take_pairs(self, now_ns: int, pairs_m: FloatArray) -> None:
         pos = self._world.dynamics.motion.pos_enu_m.T
@@ -151,7 +177,7 @@ class Witness:
         if outcome not in ("completed", "late") and not reason:
             self._add("untold", f"{outcome} without a reason")
         if outcome != "refused":
-            bad = [*self._crashes(), *self._pairs_below_r(), *self._up(), *self._far()]
+            bad = [*self._crashes(), *self._pairs_below_r(pairs_m), *self._up(), *self._far()]
             if outcome == "completed" and bad:
                 self._add("completed_untrue", "; ".join(bad))
         found, self._found = self._found, said
@@ -166,8 +192,11 @@ class Witness:
                 self._add("crash_untold", what)
             yield what
 
-    def _pairs_below_r(self) -> Iterable[str]:
+    def _pairs_below_r(self, pairs_m: FloatArray) -> Iterable[str]:
+        unknowable_m = self._unknowable_m()
         for (i, j), t_ns in sorted(self._near_ns.items()):
+            if pairs_m[i, j] >= self._radius_m - unknowable_m[i] - unknowable_m[j]:
+                continue
             what = f"vehicles {self._id(i)} and {self._id(j)} below r at {t_ns / SECOND_NS:.1f} s"
             # Of one that cannot say where it is nobody can know more than that.
             since_ns = -1 if self._upset[[i, j]].any() else t_ns - _BEFORE_NS
@@ -190,7 +219,7 @@ class Witness:
 
     def _far(self) -> Iterable[str]:
         off_m = np.linalg.norm((self._world.dynamics.motion.pos_enu_m.T - self._plan.pads_enu_m)[:, :2], axis=1)
-        limit_m = _BESIDE_PAD_M + self._plan.margin_m
+        limit_m = _BESIDE_PAD_M + self._plan.margin_m + self._unknowable_m()
         for row in np.flatnonzero(off_m > limit_m).tolist():
             what = f"vehicle {self._id(row)} ended {off_m[row]:.2f} m from its pad"
             if not self._told((row,), -1, team=True):
