@@ -125,7 +125,7 @@ def test_two_programs_write_no_one_log_and_a_killed_one_leaves_no_lock(
         assert first.stdout is not None
         assert first.stdout.readline() == b"there\n"
         before = path.read_bytes(), manifest_path(path).read_bytes()
-        code, _, err = gs([*FLY, str(path)], monkeypatch, capsys)
+        code, _, err = gs([*FLY, str(path), "--force"], monkeypatch, capsys)
         assert code == 2
         assert f"{path}: another program is writing it; wait until it has ended, or name another file" in " ".join(
             err.split()
@@ -136,7 +136,7 @@ def test_two_programs_write_no_one_log_and_a_killed_one_leaves_no_lock(
         assert len(list(read_tlog(path))) == 1  # reading is free
         first.send_signal(signal.SIGKILL)
         first.wait()
-    assert gs([*FLY, str(path)], monkeypatch, capsys)[0] == 3
+    assert gs([*FLY, str(path), "--force"], monkeypatch, capsys)[0] == 3
     with alone_in(tmp_path / "campaign", "it"):
         pass
 
