@@ -178,6 +178,7 @@ def simulate(
     on_tick: Callable[[Tick], str | None] | None = None,
     faults: str | Path | None = None,
     log: str | Path | None = None,
+    force: bool = False,
 ) -> Flown:
     """Flies a mission on the emulator, in virtual time: the same code that flies vehicles.
 
@@ -187,7 +188,8 @@ def simulate(
         on_tick: called after every tick; what it returns is an order of the operator, for example ``"land all"`` or
             ``"hold"``, and None is none. What it raises ends the simulation.
         faults: timetable of faults.
-        log: where to record (.tlog); an earlier dry run is replaced. Nowhere when None.
+        log: where to record (.tlog); the log of the same mission with the same seed is replaced. Nowhere when None.
+        force: replace another log too, unless vehicles flew it.
 
     Raises:
         UserError: the mission, the faults, an order or the log's place is wrong.
@@ -203,7 +205,7 @@ def simulate(
     from groundstation.app.flying import fly_dry, log_path_of
 
     plan = mission if isinstance(mission, Mission) else load_mission(mission)
-    path = None if log is None else log_path_of(plan, Path(log), dry_run=True, seed=seed)[0]
+    path = None if log is None else log_path_of(plan, Path(log), dry_run=True, seed=seed, force=force)[0]
     timetable = read_faults(None if faults is None else Path(faults), plan)
     values = fly_dry(_quiet(), plan, path, timetable, seed=seed, realtime=False, watch=_looking(on_tick))
     return _flown(values)

@@ -3,6 +3,10 @@
 ``KeyDialogue`` turns bytes into lines of orders and knows what to show; ``Keyboard`` is the terminal that the bytes
 come from. Nothing here waits: the loop reads when there is something to read. Refuses anything but a terminal in whose
 foreground the program is, and leaves the terminal as it was, however the flight ends.
+
+Why no library reads the keys: those that there are (prompt_toolkit, textual) switch off the keys that send signals, and
+Ctrl-C, which brings everybody home, would be one more byte that waits for the loop. It has to work when nothing else
+does.
 """
 
 from __future__ import annotations

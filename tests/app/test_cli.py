@@ -177,7 +177,7 @@ def test_the_log_of_a_real_flight_is_never_written_over(
     log.write_bytes(b"precious")
     code, _, err = gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--log", str(log)], monkeypatch, capsys)
     assert code == 2
-    assert "not written over" in err
+    assert "exists, and is not what this command would make again" in " ".join(err.split())
     assert log.read_bytes() == b"precious"
     code, _, err = gs(["import", "crazyswarm", str(tmp_path), "-o", str(log)], monkeypatch, capsys)
     assert code == 2

@@ -76,7 +76,11 @@ def test_a_new_formation_is_one_that_gs_design_accepts(
 
     before = (tmp_path / "ring7.yaml").read_bytes()
     code, _, err = gs(["new", "formation", "ring", "-n", "7"], monkeypatch, capsys)
-    assert (code, "is there already" in err, (tmp_path / "ring7.yaml").read_bytes() == before) == (2, True, True)
+    assert (
+        code,
+        "or replace it with --force" in " ".join(err.split()),
+        (tmp_path / "ring7.yaml").read_bytes() == before,
+    ) == (2, True, True)
 
 
 def test_a_formation_from_points(

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.core.extras import EXTRAS
+from groundstation.mavlink.dialect import from_pymavlink, to_json
 from tests.docs.pages import click_commands
 from tests.docs.typed import PAGES, ROOT, fresh, missing, passages, type_page
 
@@ -28,7 +29,13 @@ def test_what_a_page_promises_comes_out_when_its_commands_are_typed(page: str, t
     environment |= {key: os.environ[key] for key in ("OPENBLAS_NUM_THREADS",) if key in os.environ}
     # Nothing that comes as an extra is there: what the tutorial flies, replays, reports and designs needs none of it.
     blocked = sorted(name for names in EXTRAS.values() for name in names)
-    (home / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({blocked!r}))\n")
+    tables = home / "tables.json"  # as a wheel has them in place of pymavlink
+    tables.write_text(to_json(from_pymavlink()))
+    (home / "sitecustomize.py").write_text(
+        "import sys, pathlib, groundstation.mavlink.dialect as dialect\n"
+        f"dialect.TABLES = pathlib.Path({str(tables)!r})\n"
+        f"sys.modules.update(dict.fromkeys({blocked!r}))\n"
+    )
     environment["PYTHONPATH"] = str(home)
     found = passages((ROOT / page).read_text(encoding="utf-8"))
     assert {"fly", "replay", "report", "design"} <= {line.split()[1] for item in found for line in item.commands}

@@ -39,7 +39,7 @@ def _hello(*changes: str) -> MissionPlan:
         ("{go_to: {to_m: [9, 0, 3]}}", "steps[0].go_to: takes the team to x = 9 m, fence ends at 8 m"),
         ("{go_to: {to_m: [0, 0, 1]}}", "takes the team to z = 1 m, min_altitude_m or fence.min_m ends at 2.4 m"),
         ("{waypoints: {through_m: [[0, 0, 3], [0, -9, 3]]}}", "steps[0].waypoints: takes the team to y = -9 m"),
-        ("{waypoints: {through_m: []}}", "through_m: needs at least 1 items, has 0"),
+        ("{waypoints: {through_m: []}}", "through_m: needs at least 1 item, has 0"),
         ("{go_to: {}}", "steps[0].go_to.to_m: is missing"),
         ("{go_too: {to_m: [0, 0, 3]}}", "steps[0].go_too: unknown key, did you mean go_to?"),
     ],
