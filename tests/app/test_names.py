@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from groundstation.app.commands.command import _is_meant
 from groundstation.app.commands.schema import schema_json
 from groundstation.app.resources import find_log, log_to_write, packaged_configs
 from groundstation.app.schema_files import SCHEMA_KINDS, schema_line, schema_name
@@ -84,6 +85,22 @@ def test_every_command_that_reads_a_log_finds_it_so(tmp_path: Path, monkeypatch:
         assert code == 0 or "nothing can be identified" in err + out or "could be identified" in err, (line, err)
     for line in ("replay", "report -o page", "compare broken_off", "identify"):
         assert "nearest name is flights/broken_off.tlog" in gs([*line.split(), "broken_of"], monkeypatch, capsys)[2]
+
+
+def test_a_flight_is_named_by_its_log_with_suffix_or_without(tmp_path: Path, monkeypatch: Patch) -> None:
+    monkeypatch.chdir(tmp_path)
+    about = {"mission": "cube8", "pid": 4711, "log": str(tmp_path / "flights" / "one.tlog")}
+    for wanted in (
+        "cube8",
+        "4711",
+        "one",
+        "one.tlog",
+        "flights/one",
+        "flights/one.tlog",
+        str(tmp_path / "flights/one"),
+    ):
+        assert _is_meant(about, wanted), wanted
+    assert not any(_is_meant(about, wanted) for wanted in ("two", "one.tlo", "flights/two", "on"))
 
 
 @pytest.mark.parametrize(
