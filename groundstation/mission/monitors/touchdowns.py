@@ -105,7 +105,8 @@ class Touchdowns:
         was, now = self._values[before, rows], self._values[self._last, rows]
         changes_m_s = np.hypot(was[:, _DOWN] - now[:, _DOWN], was[:, _ACROSS] - now[:, _ACROSS])
         fell = (was[:, _DOWN] > 0.0) & (np.hypot(was[:, _DOWN], was[:, _ACROSS]) > 0.5 * HARD_M_S)
-        fell &= changes_m_s > _STOPS_M_S2 * passed_s
+        # One that tumbles gets faster as hard; what has hit the ground does not go on downwards.
+        fell &= (changes_m_s > _STOPS_M_S2 * passed_s) & (now[:, _DOWN] < 0.5 * was[:, _DOWN])
         return np.asarray(new & fell & self._lifted & (height_m < self._near_m) & (passed_s < _GAP_S))
 
     def _series(self, row: int) -> tuple[FloatArray, FloatArray]:
