@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from groundstation.mavlink.commands import CommandQueue, Outcome
-from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, Fleet
+from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, LANDED_TAKEOFF, Fleet
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.killing import Killing
@@ -138,14 +140,19 @@ def test_motors_are_stopped_again_and_again_until_a_newer_heartbeat_shows_it(pla
     two.commands.request(1, plan.autopilots[1].land())
     killing.want([1], 0)
     assert two.roster.duty(1) is Duty.KILLED
+    assert two.fleet.disarm_expected.tolist() == [False, True]
     sent = []
     for k in range(11):
         killing.step(k * SECOND_NS // 10)
         sent += [(k, *item) for item in two.asked(k * SECOND_NS // 10)]
-    assert [(k, vehicle) for k, vehicle, _ in sent] == [(0, 1), (5, 1), (10, 1)]  # and never the landing
+    kill = plan.autopilots[1].kill().name
+    assert sent == [(0, 1, kill), (5, 1, kill), (10, 1, kill)]  # and never the landing
     assert killing.falling(SECOND_NS).tolist() == [False, True]
     two.fleet.armed[1] = False
-    assert killing.not_shown().tolist() == [False, True]  # that heartbeat may be older than the order
+    for heard_s in (0.0, 0.4):
+        two.hear(heard_s)
+        assert killing.not_shown().tolist() == [False, True]  # that heartbeat may be older than the order
+    assert [bool(killing.unheard(s * SECOND_NS)[1]) for s in (1, 60)] == [False, True]
     two.hear(2.0)
     assert not killing.not_shown().any()
     assert [bool(killing.falling(s * SECOND_NS)[1]) for s in (4, 6)] == [True, False]
@@ -167,6 +174,31 @@ def test_a_climb_is_asked_of_one_that_stands_and_ends_at_its_height(plan: Missio
     assert two.roster.steered.tolist() == [True, False]
 
 
+def test_a_climb_is_over_when_it_stays_at_its_height_whatever_the_landed_state_says(plan: MissionPlan) -> None:
+    two = Two(plan)
+    two.fleet.armed[:] = True
+    two.fleet.landed_state[:] = LANDED_TAKEOFF
+    climb = Climb(plan, two.roster, Guide(plan).beside_m, Standing(plan, two.fleet))
+    for now_s, climbs in ((1.0, True), (2.9, True), (3.0, False)):
+        climb.step(two.hear(now_s), two.fleet, two.commands, np.array([1.6, 1.8]), np.full(2, 2.0))
+        assert two.roster.climbing.tolist() == [True, climbs], now_s
+    assert two.asked(3 * SECOND_NS) == []  # neither stands
+
+
+def test_whoever_has_a_pad_above_its_own_climbs_when_that_one_is_ahead() -> None:
+    for autopilots, ahead_m in ((("arducopter", "arducopter"), 0.0), (("arducopter", "px4"), 1.2)):
+        stairs = pair(autopilots=autopilots)
+        pads_enu_m = stairs.pads_enu_m[0] + np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 3.0]])
+        two = Two(replace(stairs, pads_enu_m=pads_enu_m))
+        two.fleet.armed[:] = True
+        climb = Climb(two.plan, two.roster, Guide(stairs).beside_m, Standing(stairs, two.fleet))
+        climb.step(two.hear(0.1), two.fleet, two.commands, np.zeros(2), np.full(2, 2.0))
+        assert not [item for item in two.asked(SECOND_NS // 10) if item[0] == 0]
+        two.fleet.landed_state[1] = LANDED_IN_AIR
+        climb.step(two.hear(1.0), two.fleet, two.commands, np.array([0.0, ahead_m]), np.full(2, 2.0))
+        assert two.asked(SECOND_NS) == [(0, "takeoff")]
+
+
 def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_alone(plan: MissionPlan) -> None:
     two = Two(plan)
     arming = Arming(plan, two.fleet, two.commands, Standing(plan, two.fleet), two.roster)
@@ -181,6 +213,14 @@ def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_
     arming.heard(Outcome(1, plan.autopilots[1].arm(), 4))
     assert not arming.step(two.hear(3.0))
     assert two.asked(3 * SECOND_NS) == [(1, "arm")]
+    assert "it acknowledged arm and did not do it" not in arming.why_not(9.0, {})
+    assert arming.why_not(9.0, {1: "no"}) == "vehicle 2: not armed in mode GUIDED after 9 s: no"
+    arming.heard(Outcome(1, plan.autopilots[1].arm(), 0))
+    assert arming.why_not(9.0, {}).endswith("after 9 s: it acknowledged arm and did not do it")
+    two.commands.request(1, plan.autopilots[1].land())  # while something waits for its answer nothing else is asked
+    assert not arming.step(two.hear(4.0))
+    assert two.asked(4 * SECOND_NS) == [(1, plan.autopilots[1].land().name)]
+    assert not two.commands.pending(1)
     two.fleet.armed[:] = True
     assert arming.step(two.hear(4.0))
     two.fleet.restarts[1] += 1
