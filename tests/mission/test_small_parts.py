@@ -12,6 +12,7 @@ from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, LANDE
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.killing import Killing
+from groundstation.mission.flight.poses import Poses, out_of_sight
 from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
@@ -156,6 +157,21 @@ def test_motors_are_stopped_again_and_again_until_a_newer_heartbeat_shows_it(pla
     two.hear(2.0)
     assert not killing.not_shown().any()
     assert [bool(killing.falling(s * SECOND_NS)[1]) for s in (4, 6)] == [True, False]
+
+
+def test_who_was_never_seen_is_under_nobody_and_what_is_not_known_does_not_spread() -> None:
+    unknown = np.full((1, 3), np.nan)
+    pos_ned_m, vel_ned_m_s = np.vstack([np.ones((1, 3)), unknown]), np.vstack([np.full((1, 3), 0.5), unknown])
+    level = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
+    poses = Poses(pos_ned_m, vel_ned_m_s, level, np.zeros(2, dtype=np.bool_))
+    seen = out_of_sight(poses)
+    assert seen.pos_team_ned_m[1, 2] > 1e4  # far below, where nobody is told to leave a column
+    assert np.linalg.norm(seen.pos_team_ned_m[1, :2]) > 1e4
+    assert (seen.pos_team_ned_m[0].tolist(), seen.vel_ned_m_s.tolist()) == ([1.0] * 3, [[0.5] * 3, [0.0] * 3])
+    assert out_of_sight(seen) is seen
+    assert seen.rot_ned_from_flu[0].tolist() == np.diag([1.0, -1.0, -1.0]).tolist()
+    with pytest.raises(ValueError, match=r"extra_radius_m has shape \(3,\), expected \(2,\)"):
+        replace(poses, extra_radius_m=np.zeros(3))
 
 
 def test_a_climb_is_asked_of_one_that_stands_and_ends_at_its_height(plan: MissionPlan) -> None:
