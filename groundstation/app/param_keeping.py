@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -40,7 +40,7 @@ def kept_path(plan: MissionPlan) -> Path:
 
 def local_time(path: Path) -> str:
     """When a file was written, for people."""
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(path.stat().st_mtime))
+    return f"{datetime.fromtimestamp(path.stat().st_mtime, tz=UTC).astimezone():%Y-%m-%d %H:%M:%S}"
 
 
 class BeforeKeeper:
