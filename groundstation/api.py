@@ -28,7 +28,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from groundstation.app.comparing import Comparison
 from groundstation.app.log_tables import Log
@@ -46,6 +46,7 @@ from groundstation.mission.plan.own_code import AVOIDANCE, LAW, CodeSource, name
 from groundstation.mission.plan.plan import MissionPlan as Mission
 from groundstation.mission.plan.reading import load_mission as read_mission
 from groundstation.mission.runner import FORMATION_PHASES
+from groundstation.records.manifest import Values
 from groundstation.records.replay import load_flight
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ __all__ = [
     "save_gains", "simulate", "verify",
 ]  # fmt: skip
 
-Changes = Mapping[str, Any] | Sequence[str]
+Changes = Mapping[str, object] | Sequence[str]
 """What differs from a mission file: ``{"steps.1.hold.seconds": 2}``, or as on the command line ``["gain=0.5"]``."""
 
 
@@ -113,7 +114,7 @@ class Flown:
     min_distance_m: float
     duration_s: float
     log: Path | None
-    figures: Mapping[str, Any]
+    figures: Values
 
 
 def load_formation(name: str | Path) -> Formation:
@@ -348,7 +349,7 @@ def _looking(on_tick: Callable[[Tick], str | None] | None) -> Callable[[Session,
     return look
 
 
-def _flown(values: Mapping[str, Any]) -> Flown:
+def _flown(values: Values) -> Flown:
     figures = {key: value for key, value in values.items() if key != "beside"} | dict(values["beside"])
     log = figures["log"]
     return Flown(

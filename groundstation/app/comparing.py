@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
@@ -21,6 +21,7 @@ from groundstation.app.report import claim_report, write_report
 from groundstation.app.templates import render
 from groundstation.core.errors import CheckFailed, UserError
 from groundstation.core.own_files import claim, write_whole
+from groundstation.core.types import FloatArray, IntArray
 from groundstation.records.comparison import (
     Deviation,
     Summary,
@@ -34,6 +35,7 @@ from groundstation.records.comparison import (
 from groundstation.records.replay import Flight, load_flight
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _LOGS_MAX = 50
@@ -81,7 +83,7 @@ class Comparison:
     summaries: tuple[Summary, ...]
     deviations: tuple[Deviation, ...]
 
-    def values(self) -> dict[str, Any]:
+    def values(self) -> dict[str, object]:
         """For JSON: what is not known is NaN."""
         return {
             "logs": [{"log": str(log), **asdict(item)} for log, item in zip(self.logs, self.summaries, strict=True)],
@@ -222,7 +224,7 @@ def _page(comparison: Comparison, folders: Sequence[Path]) -> str:
     )
 
 
-def _since(flight: Flight) -> tuple[Any, Any]:
+def _since(flight: Flight) -> tuple[IntArray, FloatArray]:
     """Instants of a flight, thinned, and the same in seconds from the common begin."""
     instants = flight.instants_ns()
     if len(instants) > _MOST_INSTANTS:
@@ -234,7 +236,7 @@ def _colour(number: int) -> str:
     return SERIES[number % len(SERIES)]
 
 
-def _finish(figure: Figure, axes: Any, label: str, *, any_line: bool) -> None:
+def _finish(figure: Figure, axes: Axes, label: str, *, any_line: bool) -> None:
     axes.set_xlabel("time from the first step in s")
     axes.set_ylabel(label)
     if any_line:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
+import numpy as np
 import pymap3d
 
 from groundstation.app.team_talk import TalkedTo, TeamTalk
@@ -145,7 +145,7 @@ class FenceTalk(TeamTalk[_Vehicle]):
         elif batch.name in _ANSWERS and self._is_of(item, values):
             self._protocol(number, item, batch.name, values, now_ns)
 
-    def _is_of(self, item: _Vehicle, values: Any) -> bool:
+    def _is_of(self, item: _Vehicle, values: np.void) -> bool:
         """Whether an answer is to us, and of what is being looked at."""
         ours = values["target_system"] == GROUND_STATION_SYSID and values["target_component"] == GROUND_STATION_COMPID
         return bool(ours and item.kinds and int(values["mission_type"]) == item.kinds[0])
@@ -155,7 +155,7 @@ class FenceTalk(TeamTalk[_Vehicle]):
         lat, lon, alt = pymap3d.enu2geodetic(east, north, up, lat_deg, lon_deg, alt_m)
         self._anchor = float(lat), float(lon), float(alt)
 
-    def _protocol(self, number: int, item: _Vehicle, name: str, values: Any, now_ns: int) -> None:
+    def _protocol(self, number: int, item: _Vehicle, name: str, values: np.void, now_ns: int) -> None:
         wanted = self._wanted(number)
         item.tries = 0
         if item.sending:

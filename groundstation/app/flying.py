@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -39,6 +39,7 @@ from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.told import Told
 from groundstation.records.manifest import (
     Manifest,
+    Values,
     claim_log,
     manifest_path,
     versions,
@@ -231,7 +232,7 @@ def _complete(log: TlogWriter | None) -> bool:
     return log is not None and log.problem is None
 
 
-def _finish(out: Output, log_path: Path | None, manifest: Manifest | None, ended: Mapping[str, Any]) -> None:
+def _finish(out: Output, log_path: Path | None, manifest: Manifest | None, ended: Values) -> None:
     """Writes the end of the flight into the manifest; where that fails, what is there stays, and people are told."""
     if manifest is None or log_path is None:
         return
@@ -378,7 +379,7 @@ def _tell_refused(out: Output, values: dict[str, Any], plan: MissionPlan, gate: 
         out.console.print(Text(line, style="bold red"))
 
 
-def tell_flight(out: Output, values: Mapping[str, Any]) -> None:
+def tell_flight(out: Output, values: Values) -> None:
     """Prints the figures of a flight."""
     table = Table(show_header=False, title=f"mission {values['mission']}: {values['outcome']}")
     for label, value in (
@@ -401,12 +402,12 @@ def tell_flight(out: Output, values: Mapping[str, Any]) -> None:
         out.console.print(Text("the log is not complete: the flight was not recorded to its end", style="bold red"))
 
 
-def _gridlocks(values: Mapping[str, Any]) -> str:
+def _gridlocks(values: Values) -> str:
     counts = [values[name] for name in ("gridlocks", "role_swaps", "detours")]
     return ", ".join(str(count) for count in counts) if any(counts) else ""
 
 
-def _wind(values: Mapping[str, Any]) -> str:
+def _wind(values: Values) -> str:
     mean_m_s, gust_m_s = values["wind_mean_m_s"], values["wind_gust_m_s"]
     return f"mean {mean_m_s:.1f} m/s, gusts {gust_m_s:.1f} m/s" if math.isfinite(mean_m_s) else ""
 

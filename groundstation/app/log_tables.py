@@ -12,9 +12,10 @@ import numpy as np
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray, IntArray
+from groundstation.records.manifest import Values
 from groundstation.records.replay import Flight
 
-Column = np.ndarray[Any, Any]
+Column = FloatArray | IntArray
 """One column of a table, shape (rows,)."""
 
 
@@ -39,7 +40,7 @@ class Log:
         return [track.sysid for track in self.flight.vehicles]
 
     @property
-    def result(self) -> Mapping[str, Any]:
+    def result(self) -> Values:
         """How it ended, as the manifest tells; empty where it does not."""
         manifest = self.flight.manifest
         return (manifest.result if manifest is not None else None) or {}
@@ -99,7 +100,7 @@ class Log:
     def _columns(self, times_ns: Sequence[IntArray], values: Sequence[FloatArray], name: str) -> dict[str, Column]:
         """Tables of the vehicles one below the other, in order of time."""
         ids = [np.full(len(t_ns), sysid, dtype=np.int64) for sysid, t_ns in zip(self.vehicles, times_ns, strict=True)]
-        none: list[Any] = [np.zeros(0, dtype=np.int64)]
+        none: list[IntArray] = [np.zeros(0, dtype=np.int64)]
         t_ns = np.concatenate([*times_ns, *none])
         order = np.argsort(t_ns, kind="stable")
         rows = np.concatenate([*values, np.zeros((0, 3))])[order]
@@ -111,7 +112,7 @@ class Log:
         }
 
 
-def _frame(package: str, columns: Mapping[str, Any]) -> Any:
+def _frame(package: str, columns: Mapping[str, Column]) -> Any:
     try:
         module = import_module(package)
     except ImportError:

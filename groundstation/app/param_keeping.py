@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from rich.table import Table
 from rich.text import Text
@@ -282,7 +282,7 @@ def _show(out: Output, heads: tuple[str, ...], rows: list[tuple[int, str, Param,
         out.console.print(Text(f"and {len(rows) - _SHOWN} more; --json tells all"))
 
 
-def _plain(rows: list[tuple[int, str, Param, Param]]) -> list[dict[str, Any]]:
+def _plain(rows: list[tuple[int, str, Param, Param]]) -> list[dict[str, object]]:
     return [
         {"vehicle": sysid, "parameter": name, "first": first.value, "second": second.value}
         for sysid, name, first, second in rows

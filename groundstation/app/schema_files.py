@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
@@ -61,7 +60,7 @@ def write_schema(folder: Path, kind: str) -> Path | None:
     return path
 
 
-def _title(path: Path) -> tuple[Any, str] | None:
+def _title(path: Path) -> tuple[object, str] | None:
     """Title and text of the schema that is there; None for what is no schema."""
     try:
         text = read_text(path, _BYTES_MAX)

@@ -16,7 +16,6 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -70,7 +69,7 @@ class _Show:
             )
         return np.array([self._position(drone, f"swarm.drones[{number}]", at_s) for number, drone in enumerate(drones)])
 
-    def _position(self, drone: Any, where: str, at_s: float) -> Sequence[float]:
+    def _position(self, drone: object, where: str, at_s: float) -> Sequence[float]:
         trajectory = self._at(drone, f"show.json: {where}", "settings", "trajectory")
         if isinstance(trajectory, dict) and "$ref" in trajectory:
             name, _, inside = str(trajectory["$ref"]).partition("#")
@@ -94,7 +93,7 @@ class _Show:
             before_s, before = time_s, place
         return before
 
-    def _point(self, item: Any, where: str) -> tuple[float, list[float], list[list[float]]]:
+    def _point(self, item: object, where: str) -> tuple[float, list[float], list[list[float]]]:
         """Time, place and control points of one entry; a fourth coordinate is the yaw, and is left out."""
         if isinstance(item, list) and len(item) in (2, 3) and _finite(item[:1]):
             curve = [item[1], *(item[2] if len(item) == 3 and isinstance(item[2], list) else ())]
@@ -105,7 +104,7 @@ class _Show:
                 return float(item[0]), place, controls
         raise self._wrong(f"{where}: expected [t, [x, y, z], [control points]], finite numbers")
 
-    def _json(self, name: str) -> Any:
+    def _json(self, name: str) -> object:
         """A member of the archive; names lead nowhere else."""
         inside = posixpath.normpath(name)
         try:
@@ -123,7 +122,7 @@ class _Show:
         except (ValueError, RecursionError) as error:
             raise self._wrong(f"{name}: is not JSON: {error}") from None
 
-    def _at(self, value: Any, where: str, *keys: str) -> Any:
+    def _at(self, value: object, where: str, *keys: str) -> object:
         for key in keys:
             if not isinstance(value, dict) or key not in value:
                 raise self._wrong(f"{where}: {'.'.join(keys)} is missing")
@@ -134,7 +133,7 @@ class _Show:
         return UserError(f"{self._path}: {words}; is it a .skyc file of a show?")
 
 
-def _finite(values: Sequence[Any]) -> bool:
+def _finite(values: Sequence[object]) -> bool:
     """Whether all are numbers of a place or a time."""
     return all(isinstance(value, int | float) and abs(value) <= _FAR_M for value in values)
 

@@ -42,7 +42,7 @@ def test_everything_that_can_go_wrong_is_drawn() -> None:
         assert drawn.error == ""
         vehicles = drawn.mission["vehicles"]
         seen.update({f"n {len(vehicles)}", f"outdoors {drawn.words['outdoors']}", f"shape {drawn.words['shape']}"})
-        seen.update({f"on_lost {drawn.mission['on_lost']}", f"steps {Counter(drawn.words['steps'])['form'] > 1}"})
+        seen.update({f"on_lost {drawn.mission['on_lost']}", f"steps {drawn.words['steps'].count('form') > 1}"})
         seen[f"autopilots {len(drawn.words['autopilots'])}"] += 1
         seen.update({f"wind {'gusts_m_s' in drawn.emulator}", f"told {bool(drawn.mission['profiles'])}"})
         faults = [event.fault for event in drawn.events if event.fault is not None]

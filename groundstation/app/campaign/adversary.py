@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import yaml
@@ -27,9 +27,11 @@ from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import PROFILES
 from groundstation.mission.plan.reading import load_mission
+from groundstation.records.manifest import Values
 from sitl.faults import Fault
 from sitl.personalities import PERSONALITIES
 
+_Option = TypeVar("_Option")
 _TRIES = 200
 _PACKAGED = {
     2: ("pair2",),
@@ -106,11 +108,11 @@ class Drawn:
         error: what reading the mission failed by, "" as a rule.
     """
 
-    mission: Mapping[str, Any]
+    mission: Values
     gains_npz: bytes
-    emulator: Mapping[str, Any]
+    emulator: Values
     events: tuple[Event, ...]
-    words: Mapping[str, Any]
+    words: Values
     error: str = ""
 
 
@@ -157,7 +159,7 @@ class _Draft:
         self.outdoors = bool(rng.random() < spec.outdoors)
         self._radius_m = self._between(2.0, 3.0) if self.outdoors else self._between(0.3, 0.5)
         self.size_m = self._radius_m / 0.4  # a crazyflie's metre
-        self._files: dict[str, dict[str, Any]] = {}
+        self._files: dict[str, dict[str, object]] = {}
         self._sigma_m = self._pick((0.01, 0.02))
         self._delay_s = self._pick((0.0, 0.0, self._between(0.01, 0.06)))
         self._values = self._mission()
@@ -186,11 +188,11 @@ class _Draft:
     def _between(self, low: float, high: float) -> float:
         return round(float(self._rng.uniform(low, high)), 3)
 
-    def _pick(self, options: Sequence[Any], weights: Sequence[float] | None = None) -> Any:
+    def _pick(self, options: Sequence[_Option], weights: Sequence[float] | None = None) -> _Option:
         share = None if weights is None else np.array(weights) / np.sum(weights)
         return options[int(self._rng.choice(len(options), p=share))]
 
-    def _mission(self) -> dict[str, Any]:
+    def _mission(self) -> Values:
         rng, size = self._rng, self.size_m
         pads = self._pads()
         formation, gains, scale = self._formation("formation")
@@ -198,7 +200,7 @@ class _Draft:
         reach = 1.5 * size
         low, high = pads.min(axis=0) - reach, pads.max(axis=0) + reach
         steps = self._steps()
-        values: dict[str, Any] = {
+        values: dict[str, object] = {
             "name": "adversary",
             "formation": formation,
             "rate_hz": self._pick((20.0, 25.0, 50.0), (3, 2, 1)),
@@ -221,8 +223,9 @@ class _Draft:
                 "set_parameters": True,
             },
             "link_delay_s": round(2.0 * self._delay_s * self._between(0.9, 1.5), 4),
-            "vehicles": self._vehicles(pads),
         }
+        vehicles = self._vehicles(pads)
+        values["vehicles"] = vehicles
         values |= {} if gains is None else {"gains": gains}
         values |= {} if scale is None else {"formation_scale": scale}
         if self.outdoors:
@@ -230,7 +233,7 @@ class _Draft:
         else:
             values["position_error_m"] = self._sigma_m
         if rng.random() < 0.5:
-            values["profiles"] = self._beliefs(values["vehicles"])
+            values["profiles"] = self._beliefs(vehicles)
         return values
 
     def _pads(self) -> FloatArray:
@@ -257,7 +260,7 @@ class _Draft:
             scale = float(yaml.safe_load(path.read_text(encoding="utf-8")).get("scale", 1.0))
             return str(path), str(packaged_configs() / "gains" / f"{which}.npz"), round(scale * least / shortest, 3)
         points = self._column(least) if self._rng.random() < 0.1 else self._points(least)
-        edges: Any = "complete"
+        edges: object = "complete"
         if self.n > 4 and self._rng.random() < 0.3:
             pairs = [[i + 1, j + 1] for i in range(self.n) for j in range(i + 1, self.n)]
             gone = set(self._rng.permutation(len(pairs))[: int(self._rng.integers(1, self.n - 2))].tolist())
@@ -284,9 +287,9 @@ class _Draft:
                     break
         return np.asarray(np.round(points, 3))
 
-    def _avoidance(self) -> dict[str, Any]:
+    def _avoidance(self) -> dict[str, object]:
         radius = self._radius_m
-        values = {
+        values: dict[str, object] = {
             "radius_m": radius,
             "activation_m": round(radius * self._between(1.1, 1.4), 3),
             "shape": self._pick(("sphere", "cylinder", "ellipsoid"), (8, 1, 1)),
@@ -295,17 +298,17 @@ class _Draft:
             values["half_height_m"] = round(radius * self._between(1.0, 1.3), 3)
         return values
 
-    def _steps(self) -> list[dict[str, Any]]:
+    def _steps(self) -> list[dict[str, Mapping[str, object]]]:
         size = self.size_m
         form = {"tolerance_m": 0.5 if self.outdoors else 0.12, "timeout_s": 40.0 if self.outdoors else 20.0}
-        steps: list[dict[str, Any]] = [{"form": dict(form)}]
+        steps: list[dict[str, Mapping[str, object]]] = [{"form": dict(form)}]
         for number in range(int(self._rng.integers(0, 4))):
             kind = self._pick(("hold", "move", "form"), (3, 3, 1))
             if kind == "hold":
                 steps.append({"hold": {"seconds": self._between(0.5, 3.0)}})
             elif kind == "move":
                 by = [self._between(-0.5 * size, 0.5 * size) for _ in range(2)]
-                move: dict[str, Any] = {"by_m": [*by, self._between(-0.1 * size, 0.3 * size)]}
+                move: dict[str, object] = {"by_m": [*by, self._between(-0.1 * size, 0.3 * size)]}
                 if self._rng.random() < 0.4:
                     move["turn_deg"] = self._between(-120.0, 120.0)
                 if self._rng.random() < 0.4:
@@ -319,12 +322,12 @@ class _Draft:
             steps.append({"hold": {"seconds": 1.0}})
         return steps
 
-    def _vehicles(self, pads: FloatArray) -> list[dict[str, Any]]:
+    def _vehicles(self, pads: FloatArray) -> list[dict[str, object]]:
         ids = np.sort(self._rng.permutation(np.arange(1, 251))[: self.n]).tolist()
         known = tuple(name for name in AUTOPILOTS if name in PERSONALITIES)
         mixed = self._pick((*((name,) for name in known), known))
         links = self._pick((1, 1, 2))
-        vehicles = []
+        vehicles: list[dict[str, object]] = []
         for number, (sysid, pad) in enumerate(zip(ids, pads.tolist(), strict=True)):
             autopilot = mixed[number % len(mixed)]
             vehicles.append(
@@ -339,10 +342,10 @@ class _Draft:
             )
         return vehicles
 
-    def _beliefs(self, vehicles: list[dict[str, Any]]) -> dict[str, Any]:
+    def _beliefs(self, vehicles: list[dict[str, object]]) -> dict[str, object]:
         """Profiles with a lag and a delay that are not the vehicles' own."""
-        profiles = {}
-        for like in sorted({vehicle["profile"] for vehicle in vehicles}):
+        profiles: dict[str, object] = {}
+        for like in sorted({str(vehicle["profile"]) for vehicle in vehicles}):
             own = PROFILES[like]
             profiles[f"told_{like}"] = {
                 "like": like,
@@ -353,9 +356,9 @@ class _Draft:
             vehicle["profile"] = f"told_{vehicle['profile']}"
         return profiles
 
-    def emulator(self, spec: AdversarySpec, plan: MissionPlan) -> dict[str, Any]:
+    def emulator(self, spec: AdversarySpec, plan: MissionPlan) -> dict[str, object]:
         """The world that it is flown in: no worse than the mission says, and not always as good."""
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         if not self.outdoors:
             values["noise"] = {"position_m": round(self._sigma_m * self._between(0.3, 1.0), 4)}
         if self._delay_s or self._rng.random() < 0.3:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -45,7 +45,7 @@ def sitl_env(
     place = _place(home)
     plan = load_mission(find_config(mission, "missions"), changes or ())
     script = lines(plan, place, stock=stock)
-    values: dict[str, Any] = {
+    values: dict[str, object] = {
         "mission": plan.spec.name,
         "script": script,
         "vehicles": [

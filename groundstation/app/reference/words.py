@@ -9,10 +9,10 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import yaml
 from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaValue
 
 _FOLDER = Path(__file__).parent
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
@@ -45,7 +45,7 @@ class Words:
     """
 
     text: str
-    example: Any
+    example: object
     unit: str
     default: str | None
 
@@ -77,7 +77,7 @@ def words_of(file: str) -> dict[str, dict[str, Words]]:
     }
 
 
-def described(file: str, model: type[BaseModel]) -> dict[str, Any]:
+def described(file: str, model: type[BaseModel]) -> JsonSchemaValue:
     """JSON schema of a file with the words and an example at every key.
 
     Args:
@@ -94,11 +94,11 @@ def described(file: str, model: type[BaseModel]) -> dict[str, Any]:
     return schema
 
 
-def inside(part: dict[str, Any]) -> dict[str, Any]:
+def inside(part: JsonSchemaValue) -> JsonSchemaValue:
     """The object that holds a model's keys: that of a step stands below the step's own key."""
     properties = part["properties"]
     if len(properties) == 1:
-        only: dict[str, Any] = next(iter(properties.values()))
+        only: JsonSchemaValue = next(iter(properties.values()))
         if "properties" in only:
             return only
     return part
