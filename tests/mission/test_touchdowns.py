@@ -68,6 +68,7 @@ def _comes_down(
     tells_after_s: float | None = 1.0,
     ours: bool = True,
     excused: bool = True,
+    wind_deg: float = 0.0,
 ) -> Flight:
     """Lets it come down from 0.6 m above the height at which its motor fails, 5 s in all.
 
@@ -84,6 +85,7 @@ def _comes_down(
         noise_m_s, noise_m: of the reports.
         tells_after_s: after standing for so long it reports it; None for never.
         ours, excused: as in ``Sight``.
+        wind_deg: leans as much against a wind, until it stands, besides.
     """
     plan, rng = _plan(), np.random.default_rng(seed)
     pads = np.zeros((3, 1))
@@ -126,6 +128,7 @@ def _comes_down(
             east, north, up = motion.vel_enu_m_s[:, 0] + noise_m_s * rng.standard_normal(3)
             fleet.vel_ned_m_s[0] = [north, east, -up]
             half = 0.5 * np.arccos(np.clip(motion.up_enu[2, 0], -1.0, 1.0))
+            half += 0.0 if motion.on_ground[0] else 0.5 * np.radians(wind_deg)
             fleet.quat_ned_from_frd[0] = [np.cos(half), np.sin(half), 0.0, 0.0]
             fleet.pose_ns[0] = now_ns
         if (now_ns - START_NS) % (5 * STEP_NS) == 0:
@@ -221,9 +224,16 @@ def test_it_is_told_with_speed_what_is_normal_and_the_remedy_whoever_it_is(
     )
 
 
+@pytest.mark.parametrize("wind_deg", [20.0, 30.0])
+def test_one_that_leans_against_the_wind_all_the_time_is_left_alone(wind_deg: float) -> None:
+    assert _comes_down(height_m=-1.0, share=1.0, pose_hz=20.0, wind_deg=wind_deg).findings == []
+    flight = _comes_down(height_m=0.06, share=0.9, pose_hz=50.0, sinks_m_s=0.4, noise_m_s=0.0, wind_deg=wind_deg)
+    assert len(flight.findings) == 1
+
+
 def test_one_that_comes_down_slowly_and_leaning_is_told_too() -> None:
     flight = _comes_down(height_m=0.06, share=0.9, pose_hz=50.0, sinks_m_s=0.4, noise_m_s=0.0)
     assert flight.hit_m_s < HARD_M_S
     (finding,) = flight.findings
-    assert "leaning by " in finding.what
+    assert "more than before" in finding.what
     assert f"a landing by less than {LEANS_DEG:g}; look at its legs" in finding.what

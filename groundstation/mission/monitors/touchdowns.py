@@ -22,7 +22,8 @@ from groundstation.mission.timing import SECOND_NS
 HARD_M_S = 1.3
 """Landings of real firmware ended at 1.04 m/s and less; a fall from 9 cm ends at this."""
 LEANS_DEG = 25.0
-"""They leaned by 8 degrees and less."""
+"""They leaned by 8 degrees and less, in still air; in 8 m/s of wind vehicles lean by 20 to 28 all the time."""
+_USUAL_S = 1.0  # before it came to the ground: falls from 3 m last for less
 _KEPT_S = 5.0  # autopilots tell that they stand one to two seconds after they do
 _STILL_M_S, _STILL_NS = 0.25, 300_000_000
 _BEFORE_S = 0.3  # estimates of a vehicle that hits the ground ring for that long
@@ -119,7 +120,8 @@ class Touchdowns:
     def _stopped(self, row: int) -> str:
         """What to tell of one whose fall has just ended, "" for nothing."""
         t_s, values = self._series(row)
-        return _words(_speed_m_s(t_s, values, len(t_s) - 2), float(values[-3:, _LEAN].max()))
+        lean_deg = float(values[-3:, _LEAN].max()) - _usual_deg(t_s, values, len(t_s) - 1)
+        return _words(_speed_m_s(t_s, values, len(t_s) - 2), lean_deg)
 
     def _lay_down(self, row: int) -> str:
         """What to tell of one that has come to rest, "" for nothing."""
@@ -135,7 +137,7 @@ class Touchdowns:
         just[last] = True
         speed_m_s = max(_speed_m_s(t_s, values, int(k)) for k in np.flatnonzero(just))
         since = t_s >= t_s[last] - 0.5 * _BEFORE_S
-        return _words(speed_m_s, float(values[since, _LEAN].max()))
+        return _words(speed_m_s, float(values[since, _LEAN].max()) - _usual_deg(t_s, values, last))
 
 
 def _speed_m_s(t_s: FloatArray, values: FloatArray, k: int) -> float:
@@ -156,11 +158,17 @@ def _speed_m_s(t_s: FloatArray, values: FloatArray, k: int) -> float:
     return math.hypot(min(max(at_ground, down), fastest), across)
 
 
+def _usual_deg(t_s: FloatArray, values: FloatArray, last: int) -> float:
+    """How far it leaned all the time before its report ``last``, as in a wind; 0 when that is not known."""
+    before = t_s < t_s[last] - _USUAL_S
+    return float(np.median(values[before, _LEAN])) if before.any() else 0.0
+
+
 def _words(speed_m_s: float, lean_deg: float) -> str:
     """What to tell, "" where it came down as a landing does."""
     care = "look at its legs and propellers before it flies again"
     if speed_m_s > HARD_M_S:
         return f"has hit the ground at {speed_m_s:.1f} m/s, a landing ends below {HARD_M_S:g} m/s; {care}"
     if lean_deg > LEANS_DEG:
-        return f"has come to the ground leaning by {lean_deg:.0f} degrees, a landing by less than {LEANS_DEG:g}; {care}"
+        return f"has come to the ground leaning by {lean_deg:.0f} degrees more than before, a landing by less than {LEANS_DEG:g}; {care}"
     return ""
