@@ -170,5 +170,6 @@ def _words(speed_m_s: float, lean_deg: float) -> str:
     if speed_m_s > HARD_M_S:
         return f"has hit the ground at {speed_m_s:.1f} m/s, a landing ends below {HARD_M_S:g} m/s; {care}"
     if lean_deg > LEANS_DEG:
-        return f"has come to the ground leaning by {lean_deg:.0f} degrees more than before, a landing by less than {LEANS_DEG:g}; {care}"
+        leans = f"leaning by {lean_deg:.0f} degrees more than before, a landing by less than {LEANS_DEG:g}"
+        return f"has come to the ground {leans}; {care}"
     return ""
