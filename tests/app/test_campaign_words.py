@@ -130,6 +130,19 @@ def test_of_a_position_that_creeps_nobody_can_know(drift_m_s: float, found: set[
     assert _kinds(scene.verdict("completed", "")) == found
 
 
+def test_a_position_that_jumps_while_it_creeps_can_be_known() -> None:
+    scene = Scene()
+    scene.lift()
+    estimator = scene.world.state.estimator
+    estimator.drift_enu_m_s[1, 0] = 0.08
+    estimator.offset_enu_m[1, 0] = 0.8
+    estimator.refresh()
+    scene.run(2.0, 0, (0.0, -0.4, 0.0))
+    estimator.drift_enu_m_s[1, 0] = 0.0
+    scene.run(6.0, 0, (0.0, 0.0, -0.5))
+    assert _kinds(scene.verdict("completed", "")) == {"pad_untold", "completed_untrue"}
+
+
 def test_who_flies_on_or_stays_armed_is_named() -> None:
     scene = Scene()
     scene.lift()

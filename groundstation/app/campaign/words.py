@@ -93,6 +93,8 @@ class Witness:
         self._last_near_ns: IntArray = np.full((n, n), -_APART_NS)
         self._offset_enu_m: FloatArray = world.state.estimator.offset_enu_m.copy()
         self._offset_max_m: FloatArray = np.zeros(n)
+        self._offset_ns = world.now_ns
+        self._drift_m_s: FloatArray = np.zeros(n)
         self._crept: BoolArray = np.ones(n, dtype=np.bool_)
         self._ticks = 0
         self._upset: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -122,19 +124,21 @@ class Witness:
         self._stands_since_ns = np.where(stands, np.where(self._stands_since_ns < 0, now_ns, self._stands_since_ns), -1)
         for row in np.flatnonzero(motion.crashed | (motion.touchdown_m_s > TOUCHDOWN_MAX_M_S)).tolist():
             self._hit_ns.setdefault(row, now_ns)
-        self._take_offsets()
+        self._take_offsets(now_ns)
         self._ticks += 1
         if self._ticks % _EVERY_TICKS == 0:
             self._take_pairs(now_ns, pairs_m())
 
-    def _take_offsets(self) -> None:
+    def _take_offsets(self, now_ns: int) -> None:
         """How far positions lie, and whether any went faster than a creep."""
         estimator = self._world.state.estimator
+        passed_s, self._offset_ns = (now_ns - self._offset_ns) / SECOND_NS, now_ns
         if not estimator.faulty:
             return
         more_m = np.linalg.norm(estimator.offset_enu_m - self._offset_enu_m, axis=0)
-        speed_m_s = np.linalg.norm(estimator.drift_enu_m_s, axis=0)
-        at_once = (more_m > _AT_ONCE_M) & (speed_m_s == 0.0)
+        before_m_s, self._drift_m_s = self._drift_m_s, np.linalg.norm(estimator.drift_enu_m_s, axis=0)
+        speed_m_s = np.maximum(before_m_s, self._drift_m_s)
+        at_once = more_m > speed_m_s * passed_s + _AT_ONCE_M
         self._crept &= ~at_once & (speed_m_s <= _CREEPS_M_S[self._plan.positioning])
         self._offset_enu_m = estimator.offset_enu_m.copy()
         np.fmax(self._offset_max_m, np.linalg.norm(estimator.offset_enu_m, axis=0), out=self._offset_max_m)
