@@ -51,11 +51,15 @@ def run(out: Output) -> dict[str, float | int]:
     return values
 
 
+def _ready(plan: MissionPlan) -> tuple[Session, World, int]:
+    """A flight that has not begun, its emulator, and the period of its ticks in ns."""
+    session = open_flight(ExitStack(), plan, make=Session).session
+    return session, World(world_config(plan, 0), 0), round(1e9 / plan.spec.rate_hz)
+
+
 def _fly(plan: MissionPlan) -> tuple[float, float]:
     """Flies once; returns the seconds that were flown, from the first byte on, and those of the processor."""
-    session = open_flight(ExitStack(), plan, make=Session).session
-    world = World(world_config(plan, 0), 0)
-    period_ns = round(1e9 / plan.spec.rate_hz)
+    session, world, period_ns = _ready(plan)
     start_s = time.process_time()
     fly_virtual(session, world, period_ns=period_ns, watchers=(), interrupts=Interrupts())
     return session.runner.figures.ticks * period_ns / 1e9, time.process_time() - start_s
@@ -63,8 +67,7 @@ def _fly(plan: MissionPlan) -> tuple[float, float]:
 
 def _calls_per_tick(plan: MissionPlan) -> int:
     """Calls of functions, in Python and built in, that one tick makes on both sides together; the same every time."""
-    session = open_flight(ExitStack(), plan, make=Session).session
-    world = World(world_config(plan, 0), 0)
+    session, world, period_ns = _ready(plan)
     calls = 0
 
     def count(_frame: FrameType, event: str, _argument: object) -> None:
@@ -74,7 +77,7 @@ def _calls_per_tick(plan: MissionPlan) -> int:
     before = sys.getprofile()
     sys.setprofile(count)
     try:
-        fly_virtual(session, world, period_ns=round(1e9 / plan.spec.rate_hz), watchers=(), interrupts=Interrupts())
+        fly_virtual(session, world, period_ns=period_ns, watchers=(), interrupts=Interrupts())
     finally:
         sys.setprofile(before)
     return round(calls / session.runner.figures.ticks)

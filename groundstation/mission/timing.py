@@ -11,6 +11,23 @@ SECOND_NS = 1_000_000_000
 _LEAVES = 2.0  # times the tolerance: who is farther than that is there no more
 
 
+class SinceBefore:
+    """Seconds since it was asked before.
+
+    Args:
+        at_ns: when that was, at first; the first answer is 0 where it is left out.
+    """
+
+    def __init__(self, at_ns: int = NEVER) -> None:
+        self._at_ns = at_ns
+
+    def __call__(self, now_ns: int) -> float:
+        """Takes the time of this tick."""
+        passed_s = (now_ns - self._at_ns) / SECOND_NS if self._at_ns != NEVER else 0.0
+        self._at_ns = now_ns
+        return passed_s
+
+
 class Held:
     """How long a condition has held without a break."""
 

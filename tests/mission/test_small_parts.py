@@ -17,7 +17,7 @@ from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty, Roster, enlist
-from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, Since, vehicle_list
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, Since, SinceBefore, vehicle_list
 from groundstation.mission.verdict import Figures, Note, Verdict
 from tests.app.flights import pair
 
@@ -53,6 +53,12 @@ class Two:
         for vehicle in (0, 1):
             self.commands.clear(vehicle)
         return sent
+
+
+def test_time_since_before_is_nothing_the_first_time() -> None:
+    since, from_zero = SinceBefore(), SinceBefore(0)
+    assert [since(now_ns) for now_ns in (7_000_000_000, 7_250_000_000, 7_250_000_000)] == [0.0, 0.25, 0.0]
+    assert [from_zero(now_ns) for now_ns in (500_000_000, 2_000_000_000)] == [0.5, 1.5]
 
 
 def test_what_has_held_without_a_break_is_believed_and_a_break_counts_from_anew() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 
 from groundstation.core.speeds import Speeds
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SECOND_NS, SinceBefore
 
 _ORIGIN_MOVES_M = 0.5  # between two ticks: a new origin, no motion
 
@@ -24,7 +24,7 @@ class SpeedCheck:
     def __init__(self, plan: MissionPlan, fleet: Fleet) -> None:
         self._fleet, self._limits = fleet, plan.spec.limits
         self._global: BoolArray = np.array([vehicle.position == "global" for vehicle in plan.spec.vehicles])
-        self._speeds, self._last_ns = Speeds(plan.size), NEVER
+        self._speeds, self._since_before = Speeds(plan.size), SinceBefore()
         self._stood_ned_m: FloatArray = np.full((plan.size, 3), np.nan)
 
     def look(self, now_ns: int, pos_team_ned_m: FloatArray, pose_ns: IntArray) -> None:
@@ -35,8 +35,7 @@ class SpeedCheck:
             pos_team_ned_m: where they report to stand, shape (n, 3).
             pose_ns: when that was measured, shape (n,).
         """
-        passed_s = (now_ns - self._last_ns) / SECOND_NS if self._last_ns != NEVER else 0.0
-        self._last_ns = now_ns
+        passed_s = self._since_before(now_ns)
         if passed_s > 0.0:
             fleet = self._fleet
             vel_ned_m_s = np.where(self._global[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)

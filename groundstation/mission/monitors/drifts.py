@@ -12,10 +12,9 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.quick import norms, some
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SinceBefore
 
 _TRAIL_S = 10.0  # so far back a drift that is found now may have begun
 _ENDS = 0.5  # of the limit: below it they part no more
@@ -41,7 +40,7 @@ class Drifts:
         self._trail_m: FloatArray = np.zeros((n, 3))
         self._pos: FloatArray = np.full((n, 3), np.nan)
         self._vel: FloatArray = np.zeros((n, 3))
-        self._at_ns = NEVER
+        self._since_before = SinceBefore()
 
     @property
     def gone_m(self) -> FloatArray:
@@ -59,8 +58,7 @@ class Drifts:
             now_ns: time of the tick.
         """
         pos_ned_m, vel_ned_m_s = poses.pos_team_ned_m, poses.vel_ned_m_s
-        passed_s = (now_ns - self._at_ns) / SECOND_NS if self._at_ns != NEVER else 0.0
-        self._at_ns = now_ns
+        passed_s = self._since_before(now_ns)
         more_m = pos_ned_m - self._pos - 0.5 * passed_s * (self._vel + vel_ned_m_s)
         # Not with what is no number; what is absurd comes and goes in two ticks, and both are left out.
         told = counts & (norms(more_m) < _ABSURD_M)
@@ -95,7 +93,7 @@ class Astray:
         self._pads_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)
         self._off_m: FloatArray = np.zeros(plan.size)
         self._led: BoolArray = np.zeros(plan.size, dtype=np.bool_)
-        self._last_ns = NEVER
+        self._since_before = SinceBefore()
 
     def take(self, poses: Poses, counts: BoolArray, good: BoolArray, away_m: FloatArray, now_ns: int) -> FloatArray:
         """Takes the poses of a tick, as reported; returns how far those have gone that drift now, shape (n,).
@@ -135,8 +133,7 @@ class Astray:
             lost: whose position is not believed any more, and is still reported, shape (n,).
             now_ns: time of the tick.
         """
-        passed_s = min((now_ns - self._last_ns) / SECOND_NS, _REACH_S) if self._last_ns != NEVER else 0.0
-        self._last_ns = now_ns
+        passed_s = min(self._since_before(now_ns), _REACH_S)
         if not some(lost):
             return
         rows = lost & (norms(poses.vel_ned_m_s) <= self._sane_m_s)

@@ -14,7 +14,7 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SECOND_NS, SinceBefore
 
 _BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
 _SMOOTH_S = 1.0
@@ -57,14 +57,13 @@ class Following:
         self._error: FloatArray = np.zeros((n, 3))
         self._carried: FloatArray = np.zeros((n, 3))
         self._steered_s: FloatArray = np.zeros(n)
-        self._last_ns = 0
+        self._since_before = SinceBefore(0)
         self._first, self._again = Lasting(n, _STRAYS_S), Lasting(n, _STRAYS_ON_S)
         self.strays: BoolArray = np.zeros(n, dtype=np.bool_)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings back whoever strays, and lands it where it is when it goes on straying."""
-        passed_s = min((sight.now_ns - self._last_ns) / SECOND_NS, 0.2)
-        self._last_ns = sight.now_ns
+        passed_s = min(self._since_before(sight.now_ns), 0.2)
         counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
         new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.core.quick import norms, some
+from groundstation.core.quick import finite_rows, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND
 from groundstation.mission.flight.poses import Poses
@@ -53,7 +53,7 @@ class Resting:
         """Poses with those that are known to stand where they stand."""
         if not some(self._told):
             return poses
-        stands = self._told & np.isfinite(self._rest.place_ned_m).all(axis=1)
+        stands = self._told & finite_rows(self._rest.place_ned_m)
         pos_ned_m = np.where(stands[:, None], self._rest.place_ned_m, poses.pos_team_ned_m)
         return replace(poses, pos_team_ned_m=pos_ned_m)
 

@@ -20,11 +20,10 @@ import numpy as np
 from groundstation.core.quick import norms
 from groundstation.core.speeds import DISAGREES_M_S, Speeds
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.timing import SECOND_NS, HeldEach
+from groundstation.mission.timing import SECOND_NS, HeldEach, SinceBefore
 
 _LASTS_S = 1.0
 _SWAY_DEVIATIONS = 2.0
@@ -45,7 +44,7 @@ class PoorSpeeds:
         self._limit_m_s, self._fastest_m_s = plan.spec.limits.velocity_error_m_s, plan.spec.speed_limit_m_s
         self._settle_s = plan.profile.lag_s + plan.profile.delay_s
         self._speeds = Speeds(plan.size)
-        self._last_ns = NEVER
+        self._since_before = SinceBefore()
         self._known_s: FloatArray = np.zeros(plan.size)
         self._calm = HeldEach(plan.size)
         self.calm: BoolArray = np.zeros(plan.size, dtype=np.bool_)
@@ -54,8 +53,7 @@ class PoorSpeeds:
 
     def take(self, poses: Poses, pose_ns: IntArray, counts: BoolArray, now_ns: int) -> None:
         """Takes the poses of a tick, as reported; ``counts``: in the air and not suspect, shape (n,)."""
-        passed_s = (now_ns - self._last_ns) / SECOND_NS if self._last_ns != NEVER else 0.0
-        self._last_ns = now_ns
+        passed_s = self._since_before(now_ns)
         if not passed_s > 0.0:
             return
         fresh = now_ns - pose_ns <= _FRESH_S * SECOND_NS

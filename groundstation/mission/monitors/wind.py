@@ -15,7 +15,7 @@ from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, 
 from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.wind import sway_s2
-from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.timing import SinceBefore
 from groundstation.mission.verdict import Figures
 
 _LASTS_S = 3.0
@@ -50,7 +50,7 @@ class Wind:
         self._frame, self._sway_s2 = plan.profile.airframe, sway_s2(plan.profile, plan.lead_s)
         # A vehicle that hangs half a degree askew looks as if it leant into a wind.
         self._unsure_m_s = _LEVEL_M_S2 / plan.profile.airframe.air_1_s
-        self._last_ns = 0
+        self._since_before = SinceBefore(0)
         self._felt: tuple[FloatArray, float, float] | None = None
         self._near, self._beyond = Lasting(1, _LASTS_S), Lasting(1, _LASTS_S)
 
@@ -87,8 +87,7 @@ class Wind:
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of wind near the limit, and brings everybody back from more than that."""
-        passed_s = min((sight.now_ns - self._last_ns) / SECOND_NS, 0.2)
-        self._last_ns = sight.now_ns
+        passed_s = min(self._since_before(sight.now_ns), 0.2)
         counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind & self._leans
         quat = sight.fleet.quat_ned_from_frd
         leans: BoolArray = finite_rows(quat)  # who was never heard has no attitude
