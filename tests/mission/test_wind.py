@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,16 @@ def test_one_that_goes_its_own_way_in_a_wind_is_found(gust_m_s: float) -> None:
     alarms = Windy(gust_m_s, (4.0, 0.0), obeys=False).fly(20.0)
     (found,) = [text for text in alarms if "does not follow" in text]
     assert found.startswith("vehicle 1: does not follow its setpoints by ")
+    assert "wind" not in found
+
+
+def test_ones_that_a_wind_beyond_the_limit_carries_off_are_said_to_be_in_one() -> None:
+    """Before the wind of the team is known, too: what a vehicle misses its setpoints by is then found first."""
+    alarms = Windy(3.0, (11.0, 0.0)).fly(12.0)
+    found = [text for text in alarms if "does not follow" in text]
+    assert found
+    for text in found:
+        assert re.search(r"; a wind of (9|1\d)\.\d m/s pushes it, the limit is mean 8 m/s, gusts 0\.4 m/s", text), text
 
 
 def test_gusts_and_winds_beyond_the_limit_are_told_and_bring_everybody_back() -> None:

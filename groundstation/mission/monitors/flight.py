@@ -78,6 +78,7 @@ class Following:
         for vehicle in self._first(away, sight.now_ns):
             self.strays[vehicle] = True
             what = f"does not follow its setpoints by {off_m_s[vehicle]:.2f} m/s, limit {self._limit_m_s:.2g} m/s"
+            what += self._wind.blame(vehicle)
             yield Finding(Reaction.HOME, what, (vehicle,))
         for vehicle in self._again(away, sight.now_ns):
             yield Finding(Reaction.LAND, f"has not followed its setpoints for {_STRAYS_ON_S:g} s", (vehicle,))

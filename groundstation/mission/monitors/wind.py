@@ -24,6 +24,7 @@ _MEAN_OVER, _GUST_OVER = 1.15, 1.3  # what an estimate of some seconds may be of
 _GUST_UNSURE_M_S = 0.1
 _CALM_M_S = 0.2  # gusts less than that are not told from errors of the attitude
 _LEVEL_M_S2 = 0.12
+_FADES_S = 4.0  # missing setpoints is found two seconds after the gust, or later
 _SHAKEN_LOOKS = 4.0  # times the error of a poor velocity looks like gusts: 1.0 m/s of 0.25, 2.6 of 0.77 in calm air
 _POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
@@ -39,8 +40,9 @@ class Wind:
         self._limit, self._speeds = plan.wind, speeds
         self._leans: BoolArray = np.array([not plan.rates_of(i).lean for i in range(n)])
         profiles = plan.vehicle_profiles
+        self._airframes = [profile.airframe for profile in profiles]
         self.estimate = WindEstimate(
-            [profile.airframe for profile in profiles], np.array([profile.lag_s for profile in profiles])
+            self._airframes, np.array([profile.lag_s for profile in profiles])
         )
         # More than the wind of the limit does is no excuse.
         strongest = np.array([plan.wind.mean_m_s + 3.0 * plan.wind.gust_m_s, 0.0, 0.0])
@@ -50,6 +52,7 @@ class Wind:
         self._frame, self._sway_s2 = plan.profile.airframe, sway_s2(plan.profile, plan.lead_s)
         # A vehicle that hangs half a degree askew looks as if it leant into a wind.
         self._unsure_m_s = _LEVEL_M_S2 / plan.profile.airframe.air_1_s
+        self._hardest_m_s2: FloatArray = np.zeros(n)
         self._since_before = SinceBefore(0)
         self._felt: tuple[FloatArray, float, float] | None = None
         self._near, self._beyond = Lasting(1, _LASTS_S), Lasting(1, _LASTS_S)
@@ -60,6 +63,18 @@ class Wind:
         expected = self.estimate.expected_m_s
         size = norms(expected)[..., None]
         return np.asarray(expected * np.minimum(1.0, self._excuse_max_m_s / np.maximum(size, 1e-9)))
+
+    def blame(self, vehicle: int) -> str:
+        """What is said besides of a vehicle that misses its setpoints in more wind than the limit; else nothing.
+
+        By the hardest push on this vehicle of the last seconds: the wind of the team is known later, and is a mean.
+        """
+        pull_m_s2 = np.array([self._hardest_m_s2[vehicle], 0.0, 0.0])
+        felt_m_s = length(self._airframes[vehicle].air_m_s(pull_m_s2))
+        limit = self._limit
+        if not self._leans[vehicle] or felt_m_s <= limit.mean_m_s + 2.0 * limit.gust_m_s + self._unsure_m_s:
+            return ""
+        return f"; a wind of {felt_m_s:.1f} m/s pushes it, the limit is {limit.words()}"
 
     @property
     def _gust_m_s(self) -> float:
@@ -97,6 +112,8 @@ class Wind:
         # A vehicle whose velocity is wrong leans to what it takes for its velocity, and that is no wind.
         moves_m_s, told_m_s = (vel - sight.vel_error_ned_m_s for vel in (sight.vel_ned_m_s, sight.sent_ned_m_s))
         self.estimate.step(passed_s, moves_m_s, down_ned, told_m_s, counts)
+        faded_m_s2 = self._hardest_m_s2 * (1.0 - passed_s / _FADES_S)
+        self._hardest_m_s2 = np.maximum(faded_m_s2, norms(self.estimate.push_m_s2))
         mean_m_s, gust_m_s = length(self.estimate.mean_ned_m_s), self._gust_m_s
         limit = self._limit
         near = (
