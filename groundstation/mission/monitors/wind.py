@@ -41,9 +41,7 @@ class Wind:
         self._leans: BoolArray = np.array([not plan.rates_of(i).lean for i in range(n)])
         profiles = plan.vehicle_profiles
         self._airframes = [profile.airframe for profile in profiles]
-        self.estimate = WindEstimate(
-            self._airframes, np.array([profile.lag_s for profile in profiles])
-        )
+        self.estimate = WindEstimate(self._airframes, np.array([profile.lag_s for profile in profiles]))
         # More than the wind of the limit does is no excuse.
         strongest = np.array([plan.wind.mean_m_s + 3.0 * plan.wind.gust_m_s, 0.0, 0.0])
         self._excuse_max_m_s: FloatArray = np.array(
