@@ -119,6 +119,13 @@ class Fault:
             if value is not None and not 0.0 <= value <= _TIME_MAX_S:
                 raise FaultError(f"{name}: {value}, has to be 0 or more, up to {_TIME_MAX_S:.0f}")
 
+    def record(self) -> dict[str, object]:
+        """As an entry of a timetable, for ``parse_fault``: what has its default and says nothing is left out."""
+        values: dict[str, object] = {"kind": self.kind, "at_s": self.at_s, **self.numbers}
+        values |= {} if self.for_s is None else {"for_s": self.for_s}
+        values |= {"vehicles": list(self.vehicles)} if self.vehicles else {}
+        return values | ({} if self.direction == "both" else {"direction": self.direction})
+
     def number(self, name: str) -> float:
         """A number of this fault, or its default."""
         default = KINDS[self.kind][name].default

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import typer
 
-from groundstation.app.packaged import packaged_names
+from groundstation.app.packaged import packaged_configs, packaged_names
 
 Completer = Callable[[str], list[str]]
 ORDERS = "hold", "resume", "return", "land", "kill", "silence"
@@ -52,6 +52,43 @@ def logs(incomplete: str) -> list[str]:
     """A log: a .tlog file, or the name of one in ``flights``."""
     named = [] if "/" in incomplete else [Path(item).stem for item in files(f"{_FLIGHTS}/{incomplete}", (".tlog",))]
     return sorted({*named, *files(incomplete, (".tlog",))})
+
+
+def settings(incomplete: str) -> list[str]:
+    """Keys of the mission that ``--set`` changes, ``limits.pose_age_s=``; a key that holds others ends in a point."""
+    if "=" in incomplete:
+        return []
+    import json  # noqa: PLC0415 - only here
+
+    try:
+        schema = json.loads((packaged_configs() / "schemas" / "mission.schema.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    *path, begun = incomplete.split(".")
+    keys = _under(schema, "properties")
+    for key in path:
+        keys = _keys_of(schema, keys.get(key))
+    return [
+        ".".join((*path, key)) + ("." if _keys_of(schema, value) else "=")
+        for key, value in keys.items()
+        if key.startswith(begun)
+    ]
+
+
+def _keys_of(schema: dict[str, object], value: object) -> dict[str, object]:
+    """Keys of what a key of the schema holds; of several that it may hold those of the first that has some."""
+    several = _under({"several": value}, "several").get("anyOf")
+    for one in (value, *(several if isinstance(several, list) else ())):
+        named = isinstance(one, dict) and one.get("$ref")
+        if isinstance(named, str):
+            return _under(_under(_under(schema, "$defs"), named.rpartition("/")[2]), "properties")
+    return {}
+
+
+def _under(values: dict[str, object], key: str) -> dict[str, object]:
+    """What stands under a key, where that is a mapping."""
+    found = values.get(key)
+    return found if isinstance(found, dict) else {}
 
 
 def shape_of(context: typer.Context, incomplete: str) -> list[str]:

@@ -92,7 +92,13 @@ def period_ns(plan: MissionPlan) -> int:
 
 
 def log_path_of(
-    plan: MissionPlan, wanted: Path | None, *, dry_run: bool, seed: int, force: bool | None = None
+    plan: MissionPlan,
+    wanted: Path | None,
+    faults: Sequence[Fault] = (),
+    *,
+    dry_run: bool,
+    seed: int,
+    force: bool | None = None,
 ) -> tuple[Path, bool]:
     """Where to record, and whether a log that is there is replaced.
 
@@ -104,7 +110,9 @@ def log_path_of(
         if wanted
         else (_free(_FLIGHTS, f"{plan.spec.name}-seed{seed}") if dry_run else dated_path(plan))
     )
-    return path, claim_log(path, lambda there: dry_run and there.same_flight(plan.record(), seed), force=force)
+    struck = [fault.record() for fault in faults]
+    same = claim_log(path, lambda there: dry_run and there.same_flight(plan.record(), seed, struck), force=force)
+    return path, same
 
 
 def dated_path(plan: MissionPlan) -> Path:
@@ -147,7 +155,10 @@ def fly_dry(
     plan = laws.plan
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
     meter = TruthMeter(world)
-    recorded = None if log_path is None else LogPlan(log_path, versions(), seed, dry_run=True, replace=True)
+    struck = [fault.record() for fault in faults]
+    recorded = (
+        None if log_path is None else LogPlan(log_path, versions(), seed, dry_run=True, replace=True, faults=struck)
+    )
     with ExitStack() as stack:
         flight = open_flight(stack, plan, log=recorded, make=Session)
         session, gate = flight.session, flight.gate
@@ -280,7 +291,10 @@ def fly_vehicles(
             raise why_not
         disk, laws = Disk(), LawWatch(plan)
         plan = laws.plan
-        recorded = LogPlan(log_path, versions(), emulated_seed, replace=replace_log, through=disk.through)
+        struck = [fault.record() for fault in faults]
+        recorded = LogPlan(
+            log_path, versions(), emulated_seed, replace=replace_log, through=disk.through, faults=struck
+        )
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
         session, gate, links = flight.session, flight.gate, flight.links

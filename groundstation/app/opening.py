@@ -21,7 +21,7 @@ from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Runner
 from groundstation.records.log_file import LogFile, Sink
-from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest
+from groundstation.records.manifest import DRY_RUN_EPOCH_UNIX_US, Manifest, Values
 from groundstation.records.recording import recording
 from groundstation.records.tlog import TlogWriter
 
@@ -40,6 +40,7 @@ class LogPlan:
         dry_run: in virtual time.
         replace: a log that is there is replaced.
         through: what the log is written through.
+        faults: timetable of the emulator's faults, for the manifest.
     """
 
     path: Path
@@ -48,6 +49,7 @@ class LogPlan:
     dry_run: bool = False
     replace: bool = False
     through: Callable[[LogFile], Sink] = lambda file: file
+    faults: Sequence[Values] = ()
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,7 @@ def open_flight(
             dry_run=log.dry_run,
             take_over=purpose.in_the_air,
             gains_npz=plan.gains_npz,
+            faults=log.faults,
         )
         try:
             writer = stack.enter_context(recording(log.path, manifest, replace=log.replace, through=log.through))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from groundstation.app.completing import packaged
+from groundstation.app.completing import packaged, settings
 
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace files that this command did not make.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer with one JSON object on the last line of stdout.")]
@@ -18,5 +18,6 @@ MissionOption = Annotated[
     ),
 ]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="key.path=value: changes the mission, may be repeated.")
+    list[str] | None,
+    typer.Option("--set", help="key.path=value: changes the mission, may be repeated.", autocompletion=settings),
 ]

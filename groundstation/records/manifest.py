@@ -13,7 +13,7 @@ import json
 import math
 import platform
 import reprlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -60,6 +60,7 @@ class Manifest:
         take_over: the flight began in the air, with vehicles that another ground station had left there.
         gains_npz: the gains file, byte by byte; None when no gains are known.
         result: how it ended; None while it flies, and for ever after a crash.
+        faults: timetable of the emulator's faults that struck, as its file has them; empty without.
     """
 
     mission: Values
@@ -70,15 +71,19 @@ class Manifest:
     take_over: bool = False
     gains_npz: bytes | None = None
     result: Values | None = None
+    faults: Sequence[Values] = ()
 
     @property
     def of_vehicles(self) -> bool:
         """Whether vehicles flew it: neither the emulator nor another program, whose record it would be."""
         return not self.dry_run and self.seed is None and "source" not in self.mission
 
-    def same_flight(self, mission: Values, seed: int | None) -> bool:
-        """Whether it is of the same mission to the last value, flown in the emulator with the same seed."""
-        return seed is not None and self.seed == seed and self.mission == json.loads(json.dumps(_plain(mission)))
+    def same_flight(self, mission: Values, seed: int | None, faults: Sequence[Values] = ()) -> bool:
+        """Whether it is of the same mission to the last value, flown in the emulator with the same seed and faults."""
+        if seed is None or self.seed != seed:
+            return False
+        wanted = json.loads(json.dumps(_plain([mission, faults])))
+        return bool(wanted == [self.mission, list(self.faults)])
 
     @property
     def gains_sha256(self) -> str | None:
@@ -92,7 +97,7 @@ class Manifest:
 
     def to_json(self) -> str:
         """Encodes as strict JSON with sorted keys; numbers that are not finite become null."""
-        values = {
+        values: dict[str, object] = {
             "format": FORMAT_VERSION,
             "mission": self.mission,
             "epoch_unix_us": self.epoch_unix_us,
@@ -104,6 +109,8 @@ class Manifest:
             "gains_npz_base64": None if self.gains_npz is None else base64.b64encode(self.gains_npz).decode(),
             "result": self.result,
         }
+        if self.faults:
+            values["faults"] = self.faults
         return json.dumps(_plain(values), allow_nan=False, ensure_ascii=False, indent=1, sort_keys=True) + "\n"
 
 
@@ -162,6 +169,7 @@ def read_manifest(path: Path) -> Manifest:
         take_over=_expect(path, {"take_over": False} | values, "take_over", bool),  # older ones do not have it
         gains_npz=gains,
         result=_expect(path, values, "result", dict, type(None)),
+        faults=tuple(_expect(path, {"faults": []} | values, "faults", list)),
     )
     if not 0 <= manifest.epoch_unix_us <= _LATEST_UNIX_US:
         raise UserError(

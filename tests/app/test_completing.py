@@ -77,6 +77,10 @@ _LINES = {
     "gs schema m": {"mission"},
     "gs bench flo": {"flood"},
     "gs sitl --autopilot p": {"px4"},
+    "gs fly --mission cube8 --set limits.pose_": {"limits.pose_age_s=", "limits.pose_lost_s=", "limits.pose_jump_m="},
+    "gs fly --mission cube8 --set lim": {"limits."},
+    "gs campaign --set rat": {"rate_hz="},
+    "gs fly --set nothing.x": set[str](),
 }
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from groundstation.records.manifest import (
     versions,
     write_manifest,
 )
+from sitl.faults import Fault
 
 MANIFEST = Manifest(
     mission={"name": "cube8", "vehicles": [{"id": 1, "pad_m": [0.0, 1.0, 0.0]}], "gain": 0.2},
@@ -41,6 +43,19 @@ def test_comes_back_as_written(tmp_path: Path) -> None:
     assert manifest_beside(tmp_path / "flight.tlog") == MANIFEST
     assert manifest_beside(tmp_path / "other.tlog") is None
     assert [item.name for item in tmp_path.iterdir()] == ["flight.manifest.json"]
+
+
+def test_faults_that_struck_stand_in_it_and_make_another_flight(tmp_path: Path) -> None:
+    struck = Fault("loss", at_s=4.0, for_s=2.0, vehicles=(1,), numbers={"probability": 0.3}, direction="up").record()
+    path = tmp_path / "flight.manifest.json"
+    write_manifest(path, replace(MANIFEST, faults=[struck]))
+    kept = json.loads(path.read_text())["faults"]
+    assert kept == [{"kind": "loss", "at_s": 4.0, "for_s": 2.0, "vehicles": [1], "direction": "up", "probability": 0.3}]
+    again = read_manifest(path)
+    assert again.same_flight(MANIFEST.mission, 3, [struck])
+    assert not again.same_flight(MANIFEST.mission, 3)
+    assert not MANIFEST.same_flight(MANIFEST.mission, 3, [struck])
+    assert "faults" not in json.loads(MANIFEST.to_json())
 
 
 def test_keeps_the_gains_and_their_hash() -> None:

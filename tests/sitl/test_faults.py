@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from groundstation.mavlink.codec import Frame
-from sitl.faults import KINDS, Fault, FaultError, load_faults, parse_faults
+from sitl.faults import KINDS, LINK_KINDS, Fault, FaultError, load_faults, parse_faults
 from sitl.world import World
 from tests.sitl.virtual_ground import LAND, Ground, guided_at, hovering, world
 
@@ -494,3 +495,11 @@ def test_every_kind_of_fault_is_tested_here() -> None:
     source = Path(__file__).read_text()
     missing = [kind for kind in KINDS if f'fault("{kind}"' not in source]
     assert not missing
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_is_written_down_as_it_is_read(kind: str) -> None:
+    numbers = {name: number.high if number.default is None else number.default for name, number in KINDS[kind].items()}
+    one = fault(kind, 3.5, 2.0, vehicles=(2, 5), direction="down" if kind in LINK_KINDS else "both", **numbers)
+    plain = fault(kind, **numbers)
+    assert parse_faults(yaml.safe_dump([one.record(), plain.record()])) == (one, plain)

@@ -62,7 +62,7 @@ def fly(
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), with_fix(changes, fix=fix))
     timetable = read_faults(faults, plan)
-    log_path, replaced = log_path_of(plan, log, dry_run=dry_run, seed=seed, force=force)
+    log_path, replaced = log_path_of(plan, log, timetable, dry_run=dry_run, seed=seed, force=force)
     if replaced:
         out.console.print(Text(f"replaces {log_path}"))
     started = time.monotonic()
