@@ -31,6 +31,7 @@ from groundstation.app.resources import log_to_write
 from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate
 from groundstation.app.steady_file import Disk
+from groundstation.app.tick_times import TIMES, TickTimes
 from groundstation.core.errors import PreflightRefused, UserError
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission, read_spec
@@ -289,7 +290,7 @@ def fly_vehicles(
             why_not = PreflightRefused(refusal("; ".join(refused)))
             why_not.answered = False
             raise why_not
-        disk, laws = Disk(), LawWatch(plan)
+        disk, laws, times = Disk(), LawWatch(plan), TickTimes()
         plan = laws.plan
         struck = [fault.record() for fault in faults]
         recorded = LogPlan(
@@ -315,8 +316,10 @@ def fly_vehicles(
                 watchers=(display, disk, laws, keeper, *(() if meter is None else (meter,))),
                 interrupts=interrupts,
                 controls=controls,
+                times=times,
             )
-        values = _values(session, log_path, emulated_seed)
+        _note_times(session, times, flight.clock)
+        values = _values(session, log_path, emulated_seed) | times.figures()
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         _tell_refused(out, values, plan, gate)
         _tell_forward(out, forward)
@@ -365,11 +368,18 @@ def _values(session: Session, log_path: Path | None, seed: int | None) -> dict[s
         "setpoints": runner.setpoints_sent,
         "ticks": figures.ticks,
         "deadline_misses": figures.deadline_misses,
+        **dict.fromkeys(TIMES),
         "duration_s": figures.flight_time_s,
         "wall_s": None,
         "log": None if log_path is None else str(log_path),
         "seed": seed,
     }
+
+
+def _note_times(session: Session, times: TickTimes, clock: FlightClock | None) -> None:
+    """Keeps in the log how punctual the flight was."""
+    if clock is not None and (text := times.words()):
+        session.remark("info", text, clock.now_ns())
 
 
 def _for_the_record(runner: Told, gate: FlightGate | None) -> dict[str, Any]:
@@ -405,6 +415,8 @@ def tell_flight(out: Output, values: Values) -> None:
         ("safety radius r", _figure(values["safety_radius_m"], "m")),
         ("gridlocks, swaps of roles, detours", _gridlocks(values)),
         ("wind at its strongest, as felt", _wind(values)),
+        ("ticks begin late by", _times(values["tick_late_ms"])),
+        ("setpoints are out after the last telemetry by", _times(values["telemetry_to_setpoint_ms"])),
         ("flight time", _figure(values["duration_s"], "s")),
         ("setpoints sent", str(values["setpoints"])),
         ("log", values["log"]),
@@ -424,6 +436,12 @@ def _gridlocks(values: Values) -> str:
 def _wind(values: Values) -> str:
     mean_m_s, gust_m_s = values["wind_mean_m_s"], values["wind_gust_m_s"]
     return f"mean {mean_m_s:.1f} m/s, gusts {gust_m_s:.1f} m/s" if math.isfinite(mean_m_s) else ""
+
+
+def _times(times_ms: Values | None) -> str:
+    if times_ms is None:
+        return ""  # virtual time is never late
+    return f"{times_ms['p50']:.3g} ms, 99 of 100 by {times_ms['p99']:.3g} ms at most, worst {times_ms['max']:.3g} ms"
 
 
 def _figure(value: float, unit: str, missing: str = "-") -> str:

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import Protocol
 
 from groundstation.app.session import Session
+from groundstation.app.tick_times import TickTimes
 from groundstation.links.link import RECEIVE_BYTES, Link
 from groundstation.mavlink.station import Outgoing as Datagram
 from sitl.world import Outgoing
@@ -244,6 +245,7 @@ def fly_real(
     watchers: Sequence[Watcher],
     interrupts: Interrupts,
     controls: Sequence[Control] = (),
+    times: TickTimes | None = None,
 ) -> None:
     """Flies on the wall clock over sockets.
 
@@ -264,6 +266,7 @@ def fly_real(
         watchers: called after every tick.
         interrupts: operator's Ctrl-C.
         controls: what else the operator speaks by.
+        times: counts how punctual every tick was.
     """
     desk = _Desk(controls, session)
     fleet = session.runner.fleet
@@ -297,8 +300,13 @@ def fly_real(
                 for number, link in enumerate(links):
                     at = zip(known, fleet.link, strict=True)
                     link.know([peer for peer, where in at if peer is not None and where == number])
+            setpoints = session.runner.setpoints_sent
             for datagram in session.tick(now_ns):
                 links[datagram.link].send(datagram.peer, b"".join(datagram.frames))
+            if times is not None:
+                steers = session.runner.setpoints_sent > setpoints
+                times.tick(next_tick_ns, now_ns, clock.now_ns(), intake.heard_ns, steers=steers)
+                intake.heard_ns = None
             desk.answer()
             for watch in watchers:
                 watch(session, now_ns)
@@ -313,6 +321,9 @@ class _Intake:
         waiting: waits on these links, then on controls.
         clock: looked at after every piece.
         deliver: takes number of the link, peer, bytes and time of arrival.
+
+    Attributes:
+        heard_ns: when the last datagram was taken in, ns; None since somebody set it so.
     """
 
     def __init__(
@@ -324,6 +335,7 @@ class _Intake:
     ) -> None:
         self._links, self._waiting, self._clock, self._deliver = links, waiting, clock, deliver
         self._turn = 0
+        self.heard_ns: int | None = None
 
     def take(self, until_ns: int, least_ns: int) -> list[int]:
         """Waits until something comes, and takes in one round of it.
@@ -355,7 +367,8 @@ class _Intake:
         for place in range(len(numbers)):
             number = numbers[(place + self._turn) % len(numbers)]
             for peer, data in self._links[number].receive(RECEIVE_BYTES):
-                self._deliver(number, peer, data, self._clock.now_ns())
+                self.heard_ns = self._clock.now_ns()
+                self._deliver(number, peer, data, self.heard_ns)
                 came = True
             if self._clock.now_ns() >= until_ns:
                 break

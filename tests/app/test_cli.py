@@ -19,7 +19,7 @@ from tests.app.commands import gs
 FLY_KEYS = {
     "mission", "outcome", "reason", "vehicles", "converged", "time_to_form_s", "formation_error_m", "min_distance_m",
     "min_clearance", "safety_radius_m", "gridlocks", "role_swaps", "wind_mean_m_s", "wind_gust_m_s",
-    "setpoints", "ticks", "deadline_misses",
+    "setpoints", "ticks", "deadline_misses", "tick_late_ms", "tick_work_ms", "telemetry_to_setpoint_ms",
     "duration_s", "wall_s", "log", "log_complete", "seed",
 }  # fmt: skip
 

@@ -9,6 +9,7 @@ import pytest
 
 from groundstation.app.loop import FlightClock, Interrupts, Waiting, fly_real, talk
 from groundstation.app.session import Session
+from groundstation.app.tick_times import TickTimes
 from groundstation.mavlink.codec import Encoder
 from groundstation.mavlink.station import Outgoing
 from groundstation.mission.runner import Runner
@@ -187,8 +188,14 @@ def test_ticks_that_are_always_late_leave_room_for_what_arrives(monkeypatch: pyt
             self.clock.now += 25 * MS
             return super().tick(now_ns)
 
-    session = Slow(clock)
-    fly_real(session, [Quiet(clock), Flood(clock)], clock, period_ns=PERIOD, watchers=(), interrupts=Interrupts())
+    session, times = Slow(clock), TickTimes()
+    links = [Quiet(clock), Flood(clock)]
+    fly_real(session, links, clock, period_ns=PERIOD, watchers=(), interrupts=Interrupts(), times=times)
+    figures = times.figures()
+    assert list((figures["tick_work_ms"] or {}).values()) == pytest.approx([27.0] * 4, rel=0.02)
+    late_ms = figures["tick_late_ms"]
+    assert late_ms is not None
+    assert 5.0 <= late_ms["p50"] <= late_ms["max"] <= 3 * PERIOD / MS
     assert max(_gaps(session.ticks)) <= 3 * PERIOD
     assert max(_gaps(session.heard)) <= 6 * PERIOD
 
