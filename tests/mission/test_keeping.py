@@ -63,6 +63,20 @@ class Drifting:
         return farthest
 
 
+def test_a_heading_that_nobody_shows_is_not_kept() -> None:
+    # Seen: uplinks gone for all in a formation that was done a moment later. The heading became 0, which nobody had.
+    keeper = PlaceKeeper(rate_1_s=0.1, speed_limit_m_s=1.0)
+    pos, points = np.array([[0.0, -1.0, 2.0], [0.0, 1.0, 2.0]]), np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    keeper.begin(pos, ~NOBODY)
+    keeper.settle(pos, NOBODY, points)
+    assert keeper.heading_rad is None
+    motion = keeper.motion(pos, ~NOBODY, points)
+    assert motion is not None
+    assert motion.turn_rad_s == 0.0
+    keeper.settle(pos, ~NOBODY, points)
+    assert keeper.heading_rad == pytest.approx(np.pi / 2)
+
+
 def test_a_team_that_a_drift_carries_off_keeps_its_place() -> None:
     assert Drifting().fly(60.0) < 0.8
     assert Drifting("keep_place_1_s=0").fly(40.0) > 1.0  # the law alone lets it go

@@ -58,8 +58,13 @@ class PlaceKeeper:
         self.heading_rad = None
 
     def settle(self, pos_enu_m: FloatArray, counts: BoolArray, points_m: FloatArray) -> None:
-        """Takes the heading of now for the one to keep; arguments as for ``motion``."""
-        self.heading_rad = heading_of(pos_enu_m[counts], points_m[counts])
+        """Takes the heading of now for the one to keep, of those who count; arguments as for ``motion``.
+
+        Where nobody counts, as when all have left OFFBOARD at once, nothing is known of how the formation is turned: it
+        stays free, and is not turned later by an angle that nobody has measured.
+        """
+        if some(counts):
+            self.heading_rad = heading_of(pos_enu_m[counts], points_m[counts])
 
     def shift(self, by_enu_m: FloatArray, turn_rad: float = 0.0) -> None:
         """Moves the kept place, and turns the kept heading, as the team was told to."""
