@@ -27,6 +27,10 @@ class SinceBefore:
         self._at_ns = now_ns
         return passed_s
 
+    def forget(self) -> None:
+        """The next answer is 0."""
+        self._at_ns = NEVER
+
 
 class Held:
     """How long a condition has held without a break."""

@@ -223,15 +223,32 @@ def test_what_is_only_nice_to_know_is_asked_for_now_and_then_and_given_up(plan: 
 
 
 class Parameters:
-    """One vehicle that keeps and tells parameters, in pymavlink's bytes, and who asks for them."""
+    """One vehicle that keeps and tells parameters, in pymavlink's bytes, and who asks for them.
 
-    def __init__(self, plan: MissionPlan, vehicle: int, wrong: dict[str, int]) -> None:
+    Args:
+        plan: of the mission that asks.
+        vehicle: its row.
+        wrong: parameters that are not as they should be, and their values.
+        stubborn: it acknowledges what it is told, and keeps what it had.
+        look_only: asked by a run that sets nothing.
+    """
+
+    def __init__(
+        self,
+        plan: MissionPlan,
+        vehicle: int,
+        wrong: dict[str, int],
+        *,
+        stubborn: bool = False,
+        look_only: bool = False,
+    ) -> None:
         self.vehicle, self.sysid = vehicle, plan.spec.vehicles[vehicle].id
         self.link = plan.link_of_vehicle[vehicle]
         self.fleet = Fleet([spec.id for spec in plan.spec.vehicles], plan.link_of_vehicle)
         self.station = Station(self.fleet, 0)
         failsafe = make_failsafe(plan)
-        self.check = ParameterCheck(plan, self.station, failsafe)
+        self.check = ParameterCheck(plan, self.station, failsafe, look_only=look_only)
+        self.stubborn = stubborn
         autopilot = plan.autopilots[vehicle]
         self.bytewise, self.wrong = autopilot.params_bytewise, wrong
         self.kept = autopilot.failsafes.settings(failsafe.wishes[vehicle]) | {
@@ -273,7 +290,8 @@ class Parameters:
                         if message.param_type == common.MAV_PARAM_TYPE_INT32 and self.bytewise:
                             value = float(np.array([value], dtype="<f4").view("<i4")[0])
                         self.set.append((message.param_id, value))
-                        self.kept[message.param_id] = value
+                        if not self.stubborn:
+                            self.kept[message.param_id] = value
                         self._tell(message.param_id)
 
 
@@ -307,6 +325,42 @@ def test_a_wrong_parameter_is_set_in_the_autopilots_own_packing_and_told_with_wh
     of.fleet.restarts[vehicle] += 1
     of.run(8.0)
     assert len(of.asked) == 2 * asked  # one that has started anew may have forgotten
+
+
+@pytest.mark.parametrize(("vehicle", "name", "value"), WRONG)
+def test_one_that_keeps_what_it_had_is_told_twice_and_then_left_to_people(vehicle: int, name: str, value: int) -> None:
+    of = Parameters(pair("failsafe.set_parameters=true"), vehicle, {name: value}, stubborn=True)
+    of.run(20.0)
+    wanted = dict(of.set)[name]
+    assert of.set == [(name, wanted)] * 4  # each order twice: the first other answer may be of before
+    (line,) = of.check.grave(vehicle)
+    assert line.startswith(f"{name} is {value}: ")
+    assert line.endswith("; it was told to, and keeps it: set it by hand")
+    assert not any("parameters were set" in note for note in of.check.notes(vehicle))
+
+
+def test_what_nothing_may_fly_with_is_told_with_its_remedy_and_in_short_where_it_is_much(plan: MissionPlan) -> None:
+    two = {"NAV_DLL_ACT": 6, "COM_OBL_RC_ACT": 7}
+    of = Parameters(plan, 0, two)
+    of.run(8.0)
+    lines = of.check.grave(0)
+    assert sorted(line.split(" is ")[0] for line in lines) == sorted(two)
+    assert all(line.endswith("; `gs check --fix` sets it") for line in lines)
+    of = Parameters(plan, 0, {**two, "COM_LOW_BAT_ACT": 0})
+    of.run(8.0)
+    (line,) = of.check.grave(0)
+    assert line.startswith("3 parameters are not as they have to be: ")
+    assert all(f"{name} is {value}" in line for name, value in {**two, "COM_LOW_BAT_ACT": 0}.items())
+    assert line.endswith("; `gs check --fix` sets them")
+    assert Parameters(plan, 0, two).check.grave(0) == []  # nothing is known yet
+
+
+def test_what_the_flight_will_set_by_itself_is_told_by_a_look_and_refuses_nothing() -> None:
+    of = Parameters(pair("failsafe.set_parameters=true"), 0, {"NAV_DLL_ACT": 6}, look_only=True)
+    of.run(8.0)
+    assert (of.set, of.check.grave(0)) == ([], [])
+    assert [finding.name for finding in of.check.later(0)] == ["NAV_DLL_ACT"]
+    assert any("to be set before arming" in note and "NAV_DLL_ACT from 6 to" in note for note in of.check.notes(0))
 
 
 def test_one_that_is_armed_is_asked_and_told_nothing() -> None:

@@ -59,6 +59,8 @@ def test_time_since_before_is_nothing_the_first_time() -> None:
     since, from_zero = SinceBefore(), SinceBefore(0)
     assert [since(now_ns) for now_ns in (7_000_000_000, 7_250_000_000, 7_250_000_000)] == [0.0, 0.25, 0.0]
     assert [from_zero(now_ns) for now_ns in (500_000_000, 2_000_000_000)] == [0.5, 1.5]
+    since.forget()
+    assert [since(now_ns) for now_ns in (9_000_000_000, 9_500_000_000)] == [0.0, 0.5]
 
 
 def test_what_has_held_without_a_break_is_believed_and_a_break_counts_from_anew() -> None:

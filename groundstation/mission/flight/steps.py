@@ -13,7 +13,6 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.motion import Motion, MovePlan
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.free_size import Sizes, missed, sizes_of, stands_at
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.under_way import UnderWay
@@ -27,7 +26,7 @@ from groundstation.mission.plan.schema import (
     Step,
     WaypointsStep,
 )
-from groundstation.mission.timing import SECOND_NS, Held
+from groundstation.mission.timing import SECOND_NS, Held, SinceBefore
 
 _HOLD_TOLERANCE = 2.0  # noise may exceed the tolerance for a moment; twice of it for a second is no noise
 _PACE_UP_S = 1.0  # in which a move that was held up gets going again
@@ -205,7 +204,7 @@ class Moving(StepFlight):
         self._move: MovePlan = flown.plan.moves[flown.number]
         self._begun = False
         self._move_s, self._pace, self._room = 0.0, 0.0, 1.0
-        self._last_ns = NEVER
+        self._since_before = SinceBefore()
         self._from_enu_m: FloatArray = np.zeros(3)
         self._size_before = flown.size
         self._stood_at: Sizes = (1.0, 1.0)
@@ -213,7 +212,8 @@ class Moving(StepFlight):
     def stood_still(self, held_ns: int) -> None:
         """The operator held the team for a while."""
         super().stood_still(held_ns)
-        self._last_ns, self._pace = NEVER, 0.0
+        self._since_before.forget()
+        self._pace = 0.0
 
     def left_room(self, room: float) -> None:
         """A wall slows the move down."""
@@ -226,7 +226,7 @@ class Moving(StepFlight):
         if not self._begun:
             outside = self._begin(now, pos_enu_m)
             if outside:
-                self._last_ns = now.now_ns
+                self._since_before(now.now_ns)
                 return StepTick(give_up=outside)
         flown.figures.moved_within(now.error_m)
         self._run_clock(now)
@@ -256,9 +256,7 @@ class Moving(StepFlight):
 
     def _run_clock(self, now: Now) -> None:
         """The move's own time passes as fast as the team can follow."""
-        elapsed_s = 0.0 if self._last_ns == NEVER else (now.now_ns - self._last_ns) / SECOND_NS
-        elapsed_s = min(elapsed_s, 2.0 / self._flown.plan.spec.rate_hz)
-        self._last_ns = now.now_ns
+        elapsed_s = min(self._since_before(now.now_ns), 2.0 / self._flown.plan.spec.rate_hz)
         tolerance_m = self._tolerance_m()
         wanted = (_HOLD_TOLERANCE * tolerance_m + now.sway_m - now.error_m) / ((_HOLD_TOLERANCE - 1.0) * tolerance_m)
         wanted = 0.0 if now.absent.any() else min(max(wanted, 0.0), 1.0, self._room)

@@ -129,6 +129,7 @@ class LateTicks:
         # A law of one's own that takes longer than a tick is stopped sooner than a machine that is busy for a while.
         share = _OWN_RATE_SHARE if plan.own_code else _RATE_SHARE
         self._least_hz = max(share * plan.spec.rate_hz, _RATE_MIN_HZ)
+        self._since_before = SinceBefore()
         self._ticks: deque[int] = deque()
         self._recent: deque[int] = deque()
         self._late, self._slow, self._silent = Lasting(1, again=True), Lasting(1), Lasting(1)
@@ -136,7 +137,7 @@ class LateTicks:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back when ticks are late; ends a stream that flickers."""
         now_ns = sight.now_ns
-        gap_s = (now_ns - self._ticks[-1]) / SECOND_NS if self._ticks else 0.0
+        gap_s = self._since_before(now_ns)
         self._ticks.append(now_ns)
         self._recent.append(now_ns)
         while now_ns - self._ticks[0] > _STREAM_OVER_S * SECOND_NS:

@@ -72,4 +72,7 @@ class Resting:
             if self._flown[vehicle]:
                 yield Finding(Reaction.FAILED, f"{what}, after it landed; see to its position", (vehicle,), lost=True)
             else:
-                yield Finding(Reaction.LAND, f"{what}, before it took off; it stays there", (vehicle,), lost=True)
+                what += (
+                    ", before it took off; it stays there, see to its GPS or motion capture and restart it on its pad"
+                )
+                yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
