@@ -87,6 +87,26 @@ def refused_frames(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
     return [*gate.words(plan.links, link_of), *([gate.problem] if gate.problem else [])]
 
 
+def check_method(plan: MissionPlan) -> None:
+    """Refuses to fly vehicles by less than the whole of avoidance.
+
+    Raises:
+        UserError: with what is left out, what follows, and the remedy.
+    """
+    method = plan.spec.avoidance.method
+    if method == "both":
+        return
+    follows = {
+        "rotation": "without the damper vehicles that lag come nearer than r",
+        "damper": "without Algorithm 2 nobody turns aside, and vehicles stop in each other's way",
+    }[method]
+    raise UserError(
+        f"{plan.source}: avoidance.method: {method} is for dry runs, allowed for vehicles is both; {follows};"
+        " fly it with --dry-run, leave it out, or say --incomplete-avoidance if that is what you are about to do:"
+        " nearer than r is then told only, and everybody comes back at half of r"
+    )
+
+
 def period_ns(plan: MissionPlan) -> int:
     """Length of a tick."""
     return round(SECOND_NS / plan.spec.rate_hz)
@@ -264,6 +284,7 @@ def fly_vehicles(
     take_over: bool,
     give_back: bool = False,
     replace_log: bool = False,
+    bare: bool = False,
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets.
 
@@ -276,10 +297,14 @@ def fly_vehicles(
         take_over: bring home vehicles that are in the air.
         give_back: parameters that preflight has set are set back after the flight.
         replace_log: a log that is there is replaced.
+        bare: whoever flies knows that the mission leaves out the damper or Algorithm 2.
 
     Raises:
+        UserError: the mission leaves those out, and vehicles would fly it without that word.
         PreflightRefused: the vehicles do not take the mission's fence.
     """
+    if emulated_seed is None and not take_over and not bare:
+        check_method(plan)
     keeper = BeforeKeeper(before_path(log_path))
     with ExitStack() as stack:
         meter, emulated = None, emulated_seed is not None

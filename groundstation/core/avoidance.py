@@ -79,6 +79,18 @@ def avoid(views: LocalViews, desired_flu_m_s: FloatArray, region: SafetyRegion) 
     return replace(result, vel_flu_m_s=vel_flu_m_s)
 
 
+def straight_on(views: LocalViews, desired_flu_m_s: FloatArray, region: SafetyRegion) -> Avoided:
+    """Leaves Algorithm 2 out: velocities stay as desired, whoever is in the way.
+
+    Args:
+        views: what m agents see.
+        desired_flu_m_s: shape (m, 3), body FLU of each agent.
+        region: the safety region, which nobody is turned from.
+    """
+    still = np.zeros(views.viewers, dtype=np.bool_)
+    return Avoided(desired_flu_m_s, still, np.zeros(views.viewers), np.zeros_like(views.visible))
+
+
 def _around(cones: Blocked, desired_m_s: FloatArray) -> Avoided:
     """Turns velocities (m, 3) out of what is blocked, in whatever axes both are given."""
     m = len(desired_m_s)

@@ -7,7 +7,7 @@ shows as NaN in the setpoint, which `limits` refuses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -140,6 +140,12 @@ def local_views(
         vel_flu_m_s=frames.rotate_back(rot, vel_ned_m_s),
         up_flu=-rot[:, 2],  # the third row is down, seen from the body
     )
+
+
+def alone(views: LocalViews) -> LocalViews:
+    """The same agents, none of whom sees anybody."""
+    nothing = np.full_like(views.rel_pos_flu_m, np.nan)
+    return replace(views, rel_pos_flu_m=nothing, rel_vel_flu_m_s=nothing, visible=np.zeros_like(views.visible))
 
 
 def distances_m(views: LocalViews) -> FloatArray:

@@ -35,6 +35,13 @@ def fly(
     give_back: Annotated[
         bool, typer.Option("--restore", help="After the flight, set parameters back that --fix has set.")
     ] = False,
+    bare: Annotated[
+        bool,
+        typer.Option(
+            "--incomplete-avoidance",
+            help="Fly vehicles although the mission's avoidance.method leaves out the damper or Algorithm 2.",
+        ),
+    ] = False,
     changes: SetOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -47,7 +54,15 @@ def fly(
     Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
     """
     from groundstation.app.emulator import read_faults
-    from groundstation.app.flying import fly_dry, fly_vehicles, log_path_of, refusal, tell_flight, with_fix
+    from groundstation.app.flying import (
+        check_method,
+        fly_dry,
+        fly_vehicles,
+        log_path_of,
+        refusal,
+        tell_flight,
+        with_fix,
+    )
     from groundstation.app.resources import find_config
     from groundstation.mission.plan.reading import load_mission
 
@@ -61,6 +76,8 @@ def fly(
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
     plan = load_mission(find_config(mission, "missions"), with_fix(changes, fix=fix))
+    if not (dry_run or take_over or bare):
+        check_method(plan)  # before anything is written
     timetable = read_faults(faults, plan)
     log_path, replaced = log_path_of(plan, log, timetable, dry_run=dry_run, seed=seed, force=force)
     if replaced:
@@ -78,6 +95,7 @@ def fly(
             take_over=take_over,
             give_back=give_back,
             replace_log=replaced,
+            bare=bare,
         )
     refused, beside = values.pop("refused"), values.pop("beside")
     values["wall_s"] = round(time.monotonic() - started, 3)

@@ -329,6 +329,8 @@ class FormationFlight:
                 self._now.figures.locked_in(swaps=len(pairs))
                 self._fly_as(roles)
                 return
+            if not self._plan.spec.avoidance.detours:
+                return
         else:
             to_goal_enu_m, patience_s, rarer = way, locks.params.home_detour_s, False
         sent = locks.begin_detours(sensed, to_goal_enu_m, absent, patience_s, rarer=rarer)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.core import frames
-from groundstation.core.avoidance import Avoided, avoid
+from groundstation.core.avoidance import Avoided, avoid, straight_on
 from groundstation.core.control import Task, formation_control, saturate
 from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
 from groundstation.core.gridlock import Sensed
@@ -26,13 +26,14 @@ from groundstation.core.places import Places, own_places
 from groundstation.core.quick import between, norms, some
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.core.views import LocalViews, local_views
+from groundstation.core.views import LocalViews, alone, local_views
 from groundstation.mission.flight.fleeing import Fleeing
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.positioning import DEVIATIONS
 from groundstation.mission.plan.profiles import approach_rate_1_s
+from groundstation.mission.plan.schema import AvoidanceSpec
 from groundstation.mission.plan.stages import Stage
 
 _T = TypeVar("_T", bound=np.generic)
@@ -176,6 +177,7 @@ class Guide:
             detour_enu_m_s=course.detour_enu_m_s,
             common_enu_m_s=common_enu,
             own_avoidance=self._own_avoidance,
+            method=self._plan.spec.avoidance,
         )
 
     def _law(self, views: LocalViews, task: Task, course: Course) -> FloatArray:
@@ -348,8 +350,11 @@ class Guide:
         detour_enu_m_s: FloatArray | None = None,
         common_enu_m_s: FloatArray | None = None,
         own_avoidance: OwnAvoidance | None = None,
+        method: AvoidanceSpec | None = None,
     ) -> Setpoints:
         turn: Callable[[LocalViews, FloatArray, SafetyRegion], Avoided] = own_avoidance or avoid
+        if method is not None and not method.turns:
+            turn = straight_on
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = poses.rot_ned_from_flu
         flee_ned_m_s = self._fleeing.wishes_ned_m_s(poses)
@@ -379,7 +384,8 @@ class Guide:
             avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)
         normals_flu, bounds_m_s = walls(rot_ned_from_flu, low_m_s, high_m_s)
-        damped = damp(views, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)
+        guarded = views if method is None or method.damps else alone(views)
+        damped = damp(guarded, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)
         vel_ned_m_s = apply_limits(
             frames.rotate(rot_ned_from_flu, damped.vel_flu_m_s),
             told_ned_m_s,

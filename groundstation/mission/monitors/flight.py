@@ -17,6 +17,7 @@ from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, SinceBefore
 
 _BESIDE_S = 0.2  # fence and distances: longer than a bad packet, shorter than harm
+_INCOMPLETE_SHARE = 0.5  # of the safety region, where a mission leaves out a part of avoidance
 _SMOOTH_S = 1.0
 _STRAYS_S = 2.0
 _STRAYS_ON_S = 6.0
@@ -104,6 +105,9 @@ class Distance:
         self._told_ns = round(plan.spec.limits.pose_lost_s * SECOND_NS)
         self._first, self._second = np.triu_indices(n, 1)
         self._lasting = Lasting(len(self._first), _BESIDE_S)
+        # Without the whole of avoidance vehicles do come nearer than r, and whoever flies them so has been told.
+        self._least = 1.0 if plan.spec.avoidance.method == "both" else _INCOMPLETE_SHARE
+        self._expected = Lasting(len(self._first), _BESIDE_S)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back: what has kept them apart has failed."""
@@ -112,7 +116,12 @@ class Distance:
         known = ~sight.blind & (sight.now_ns - sight.pose_ns < self._told_ns)
         flies = sight.airborne & ours
         near = (apart < 1.0) & known[self._first] & known[self._second] & (flies[self._first] | flies[self._second])
-        for pair in self._lasting(near, sight.now_ns):
+        if self._least < 1.0:
+            for pair in self._expected(near & (apart >= self._least), sight.now_ns):
+                both = (int(self._first[pair]), int(self._second[pair]))
+                words = self._region.near_words(length(offsets[pair]), float(apart[pair]))
+                yield Finding(Reaction.SAY, words, both, pair=True)
+        for pair in self._lasting(near & (apart < self._least), sight.now_ns):
             both = (int(self._first[pair]), int(self._second[pair]))
             apart_m = length(offsets[pair])
             words = self._region.near_words(apart_m, float(apart[pair]))

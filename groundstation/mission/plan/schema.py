@@ -67,6 +67,24 @@ class AvoidanceSpec(_Strict):
     shape: Literal["sphere", "cylinder", "ellipsoid"] = "sphere"
     half_height_m: Positive | None = None
     law: OwnCodeName | None = None
+    method: Literal["rotation", "damper", "both"] = "both"
+    detours: bool = True
+
+    @model_validator(mode="after")
+    def _own_law_turns(self) -> AvoidanceSpec:
+        if self.law is not None and self.method == "damper":
+            raise ValueError("law stands in for Algorithm 2, which method: damper leaves out; give one of them")
+        return self
+
+    @property
+    def turns(self) -> bool:
+        """Algorithm 2 turns what agents of a formation wish."""
+        return self.method != "damper"
+
+    @property
+    def damps(self) -> bool:
+        """The damper bounds how fast agents of a formation close; without it r is for points without lag."""
+        return self.method != "rotation"
 
     @model_validator(mode="after")
     def _spheres_have_none(self) -> AvoidanceSpec:
