@@ -214,6 +214,10 @@ def show_suggestion(out: Output, found: Suggestion, graph: str) -> None:
         table.add_row(str(len(row.edges)), f"{row.slowest:.3f} 1/s" if row.slowest > 0 else "infeasible", mark)
     out.console.print(table)
     out.console.print("edges: " + ", ".join(f"[{i + 1}, {j + 1}]" for i, j in found.formation.edges), markup=False)
+    if found.slowest > found.before:
+        out.console.print(
+            f"edges were exchanged for others: slowest mode {found.before:.3f} -> {found.slowest:.3f} 1/s"
+        )
     if found.survives_edges is not None:
         word = "stays feasible" if found.survives_edges else "does NOT stay feasible"
         out.console.print(f"{word} when any one edge is lost")

@@ -28,6 +28,9 @@ Evaluate = Callable[[Formation], tuple[float, Certificate | None]]
 TREES = 200
 """Spanning trees that are tried for one within the degree limit."""
 
+EXCHANGES = 600
+"""Designs that are tried in exchanging edges."""
+
 SHARE: dict[Kind, float] = {"sparse": 0.1, "balanced": 0.5, "robust": 0.8}
 """Slowest mode to reach, relative to what all edges within range and degree give."""
 
@@ -54,12 +57,14 @@ class Suggestion:
         slowest: its slowest mode, 1/s.
         rows: graphs with growing numbers of edges.
         survives_edges: whether a design exists after the loss of any one edge; None when not asked for.
+        before: the slowest mode with as many edges before some were exchanged.
     """
 
     formation: Formation
     slowest: float
     rows: tuple[Row, ...]
     survives_edges: bool | None
+    before: float
 
 
 def suggest(
@@ -134,8 +139,13 @@ def suggest(
                 break
         if not survives:
             chosen = max(reached, key=lambda row: row.slowest)
+    greedy = chosen.slowest
+    if kind != "robust":
+        rows.remove(chosen)
+        chosen = _exchanged(formation, chosen, evaluate, allowed, limit=limit, enough=0.97 * ceiling)
+        rows = sorted([*rows, chosen], key=lambda row: len(row.edges))
     final = Formation(formation.name, formation.points_enu_m, chosen.edges)
-    return Suggestion(final, chosen.slowest, tuple(rows), survives)
+    return Suggestion(final, chosen.slowest, tuple(rows), survives, greedy)
 
 
 def _formation(formation: Formation, pairs: np.ndarray) -> Formation:
@@ -180,6 +190,18 @@ def _start(tree: BoolArray, distances: FloatArray, allowed: BoolArray, limit: in
     return now
 
 
+def _price(distances: FloatArray, figures: Certificate | None) -> FloatArray:
+    """What each edge that is not there would be worth, shape (n, n): by the dual matrices of the slower blocks."""
+    price = 1e-6 / (1.0 + distances)
+    if figures is not None:
+        worst = min(figures.xy.slowest, figures.z.slowest)
+        for block in (figures.xy, figures.z):
+            size = float(np.max(np.abs(block.dual), initial=0.0))
+            if size > 0 and block.slowest <= 1.3 * max(worst, 0.0) + 1e-9:
+                price = price + np.abs(block.dual) / size
+    return price
+
+
 def _grow(now: BoolArray, allowed: BoolArray, limit: int, distances: FloatArray, figures: Certificate | None) -> bool:
     """Adds the edges with the highest price, in place; False when no edge is left to add."""
     n = len(now)
@@ -188,13 +210,7 @@ def _grow(now: BoolArray, allowed: BoolArray, limit: int, distances: FloatArray,
     candidates = np.argwhere(open_pairs)
     if len(candidates) == 0:
         return False
-    price = 1e-6 / (1.0 + distances)
-    if figures is not None:
-        worst = min(figures.xy.slowest, figures.z.slowest)
-        for block in (figures.xy, figures.z):
-            size = float(np.max(np.abs(block.dual), initial=0.0))
-            if size > 0 and block.slowest <= 1.3 * max(worst, 0.0) + 1e-9:
-                price = price + np.abs(block.dual) / size
+    price = _price(distances, figures)
     order = np.argsort(-price[candidates[:, 0], candidates[:, 1]], kind="stable")
     left, added = max(1, n // 8), np.zeros(n, dtype=np.int64)
     for i, j in candidates[order]:
@@ -206,6 +222,41 @@ def _grow(now: BoolArray, allowed: BoolArray, limit: int, distances: FloatArray,
             added[i] = added[j] = 1
             left -= 1
     return True
+
+
+def _exchanged(
+    formation: Formation, row: Row, evaluate: Evaluate, allowed: BoolArray, *, limit: int, enough: float
+) -> Row:
+    """Exchanges one edge for another as long as that makes the slowest mode faster; as many edges as before.
+
+    Those that the dual matrix prices highest come first, for the longest. Ends where no exchange helps, at ``enough``,
+    or after so many designs: fewer of larger teams, of which each takes longer.
+    """
+    n = formation.size
+    left = min(EXCHANGES, EXCHANGES * 64 // n**2)
+    best, figures = evaluate(_formation(formation, np.array(row.edges)))
+    edges = row.edges
+    better = True
+    while better and left > 0 and best < enough:
+        better = False
+        price = _price(formation.distances_m, figures)
+        now = np.zeros((n, n), dtype=np.bool_)
+        for i, j in edges:
+            now[i, j] = now[j, i] = True
+        out = np.argwhere(np.triu(allowed & ~now, 1))
+        swaps = [(price[a, b] - price[i, j], (i, j), (int(a), int(b))) for i, j in edges for a, b in out]
+        for _, old, new in sorted(swaps, key=lambda swap: -swap[0]):
+            degrees = now.sum(axis=1)
+            degrees[list(old)] -= 1
+            if left == 0 or degrees[list(new)].max() >= limit:
+                continue
+            left -= 1
+            tried = tuple(sorted([*(edge for edge in edges if edge != old), new]))
+            slowest, certificate = evaluate(_formation(formation, np.array(tried)))
+            if slowest > 1.01 * best:
+                edges, best, figures, better = tried, slowest, certificate, True
+                break
+    return Row(edges, best)
 
 
 def _survives(formation: Formation, row: Row, evaluate: Evaluate) -> bool:

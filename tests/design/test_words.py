@@ -251,6 +251,19 @@ def test_suggested_graphs_keep_range_and_degree_and_grow_with_the_wish() -> None
             assert design(Formation("rest", robust.formation.points_enu_m, rest)).feasible
 
 
+def test_edges_are_exchanged_for_better_ones_within_range_and_degree() -> None:
+    points = Formation("cloud", np.random.default_rng(2).uniform(-2, 2, (8, 3)), ())
+    found = suggest(points, "sparse", evaluator(gap=0.05), range_m=4.5, max_degree=5)
+    shape = found.formation
+    assert found.slowest > 1.5 * found.before > 0.0
+    assert shape.adjacency.sum(axis=1).max() <= 5
+    assert max(shape.distances_m[i, j] for i, j in shape.edges) <= 4.5
+    assert [row.edges for row in found.rows if len(row.edges) == len(shape.edges)] == [shape.edges]
+    result = design(shape)
+    assert result.certificate is not None
+    assert -(result.certificate.lambda_max or 0.0) >= found.slowest - 1e-6
+
+
 def hub() -> Formation:
     """Seven agents about one, farther from each other than from it: the shortest tree is a star."""
     around = np.array([[1, 0, 0], [-1, 0.1, 0], [0, 1, 0.1], [0.1, -1, 0], [0, 0.1, 1], [0.1, 0, -1], [0.9, 0.9, 0.9]])
