@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # Some tests wait for real sockets and processes: one worker more than cores keeps the cores busy.
 PYTEST_WORKERS ?= 3
 
-.PHONY: install fly test docs refs fuzz clean
+.PHONY: install fly test docs paper refs fuzz clean
 
 install: $(STAMP)
 
@@ -45,6 +45,11 @@ refs: $(STAMP)
 # Draws pages and figures from the program (a test fails when pages are not up to date), and builds the site in build/site.
 docs: $(STAMP)
 	$(BIN)/python -m tests.docs
+
+# Flies the paper's experiment by the paper's pure law, and draws its Figures 2 to 5 from that on one page.
+paper: $(STAMP)
+	$(BIN)/gs fly --mission paper_cube8 --dry-run --seed 1 --log flights/paper_cube8.tlog --force
+	$(BIN)/python -m tests.docs.paper flights/paper_cube8.tlog build/paper
 
 # Random bytes, and real input bent out of shape, through everything that reads bytes from outside; about half an hour.
 FUZZ_BYTES ?= 10000000
