@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "new": ("new", "Make a formation file from a shape or from points."),
     "fly": ("fly", "Fly a mission on vehicles, or as a dry run on the emulator."),
     "command": ("command", "Give an order to a flight in another terminal: hold, return, land, kill."),
+    "console": ("console", "Show a flight in a browser, and give orders there."),
     "vehicles": ("vehicles", "Find the vehicles on links; prints a block for a mission file."),
     "check": ("fly", "Check a mission and its vehicles on their pads; arm nothing."),
     "params": ("params", "Keep the parameters of a mission's vehicles, compare them, give them back."),

@@ -15,6 +15,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.app.console.viewers import Viewers
 from groundstation.app.emulator import TruthMeter, served_world, world_config
 from groundstation.app.fence_giving import give_fence
 from groundstation.app.forwarding import Forward
@@ -159,6 +160,7 @@ def fly_dry(
     *,
     seed: int,
     realtime: bool,
+    console: bool = False,
     watch: Callable[[Session, int, World], None] | None = None,
 ) -> dict[str, Any]:
     """Flies the emulator in virtual time.
@@ -170,6 +172,7 @@ def fly_dry(
         faults: that strike.
         seed: of the emulator's noise.
         realtime: hold it to the wall clock.
+        console: show it to consoles.
         watch: somebody else's program looks on after every tick, and Ctrl-C is its own.
     """
     laws = LawWatch(plan, dry=True)
@@ -200,6 +203,7 @@ def fly_dry(
                     display,
                     meter,
                     laws,
+                    *_shown(at_the_desk, plan, console=console),
                     *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),)),
                 ),
                 interrupts=interrupts,
@@ -259,6 +263,11 @@ def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Seque
     return controls, prompt
 
 
+def _shown(stack: ExitStack, plan: MissionPlan, *, console: bool) -> tuple[Viewers, ...]:
+    """What shows the flight to consoles, where that is wished."""
+    return (stack.enter_context(Viewers(runtime_folder(os.environ, Path.home()), plan)),) if console else ()
+
+
 def _complete(log: TlogWriter | None) -> bool:
     """Whether everything was recorded; known when the log is closed."""
     return log is not None and log.problem is None
@@ -285,6 +294,7 @@ def fly_vehicles(
     give_back: bool = False,
     replace_log: bool = False,
     bare: bool = False,
+    console: bool = False,
 ) -> dict[str, Any]:
     """Flies over sockets: real vehicles, or the emulator at the other end of the same sockets.
 
@@ -298,6 +308,7 @@ def fly_vehicles(
         give_back: parameters that preflight has set are set back after the flight.
         replace_log: a log that is there is replaced.
         bare: whoever flies knows that the mission leaves out the damper or Algorithm 2.
+        console: show it to consoles.
 
     Raises:
         UserError: the mission leaves those out, and vehicles would fly it without that word.
@@ -338,7 +349,14 @@ def fly_vehicles(
                 links,
                 flight.clock or FlightClock(),
                 period_ns=period_ns(plan),
-                watchers=(display, disk, laws, keeper, *(() if meter is None else (meter,))),
+                watchers=(
+                    display,
+                    disk,
+                    laws,
+                    keeper,
+                    *_shown(at_the_desk, plan, console=console),
+                    *(() if meter is None else (meter,)),
+                ),
                 interrupts=interrupts,
                 controls=controls,
                 times=times,

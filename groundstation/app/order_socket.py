@@ -1,9 +1,10 @@
 """Orders from a second terminal: a local socket that only the owner of the flight can reach.
 
 One line of JSON in, one line of JSON out: ``{"order": "hold"}`` is answered with what became of it, ``{"about": true}``
-with which flight this is. The socket lies in a folder of mode 0700, has mode 0600 itself, and the kernel's word on who
-is at the other end is asked for too. Nothing a client does can hold up a tick: lines, clients, orders per tick and
-answers that wait are all bounded, and a client that sends too much is not listened to until the next tick.
+with which flight this is. ``"by"`` beside an order says who gives it, for the log. The socket lies in a folder of mode
+0700, has mode 0600 itself, and the kernel's word on who is at the other end is asked for too. Nothing a client does can
+hold up a tick: lines, clients, orders per tick and answers that wait are all bounded, and a client that sends too much
+is not listened to until the next tick.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _LINES_MAX = 16  # that wait, of one client
 _ORDERS_PER_TICK = 4
 _BYTES_PER_TICK = 4096
 _IDLE_NS = 10_000_000_000
+_NAME_MAX = 60
 _PATH_MAX = 100  # what a socket's address holds, less a little
 
 
@@ -45,6 +47,11 @@ def prepare_folder(folder: Path) -> None:
         raise PermissionError(f"{folder} is not a folder of this user")
     if there.st_mode & 0o077:
         folder.chmod(0o700)
+
+
+def printable(name: str) -> str:
+    """A name that somebody gave, cut to one short line."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name[:_NAME_MAX])
 
 
 @dataclass
@@ -195,6 +202,8 @@ class OrderSocket:
         if isinstance(order, str):
             try:
                 plain = session.operator(order, now_ns)
+                if isinstance(by := request.get("by"), str):  # who pressed what is in the log
+                    session.remark("info", f"order {plain}: given by {printable(by)}", now_ns)
             except ValueError as error:
                 self._answer(client, {"ok": False, "order": order, "why": str(error)})
             else:

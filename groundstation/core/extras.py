@@ -11,6 +11,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "mavlink": ("pymavlink",),
     "mavsdk": ("mavsdk",),
     "solvers": ("cvxpy",),
+    "console": ("nicegui",),
 }
 """Extra of this project: the packages that it brings, by the names that they are imported by."""
 

@@ -2,14 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+
+from groundstation.core.formation import Formation
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.check_table import CheckRow
 from groundstation.mission.ground.failsafe import FailsafePlan
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.team import Team
 from groundstation.mission.verdict import Figures, Note
+
+
+@dataclass(frozen=True)
+class Look:
+    """The team at one instant, for those who only watch.
+
+    Attributes:
+        poses: where everybody is, as the monitors would mark it: with what is added to r around whom nobody steers.
+        pose_ns: when each pose was measured, shape (n,).
+        duty: ``roster.Duty`` of each vehicle, shape (n,).
+        held, lost, foreign: who stands still by a monitor, whose position is lost, who does not follow, shape (n,).
+        formation: the one under way, at its present size.
+    """
+
+    poses: Poses
+    pose_ns: IntArray
+    duty: IntArray
+    held: BoolArray
+    lost: BoolArray
+    foreign: BoolArray
+    formation: Formation
 
 
 class Told:
@@ -101,3 +128,18 @@ class Told:
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""
         return self._team.verdict.take_notes()
+
+    def look(self, now_ns: int) -> Look:
+        """Looks at the team and changes nothing; who watches along pays for it, a tick does not."""
+        team, board = self._team, self._team.board
+        pose_ns = team.frame.pose_ns(team.fleet)
+        poses = team.frame.poses(team.fleet, now_ns)
+        return Look(
+            poses=board.obstacles(poses, team.fleet, pose_ns, team.roster, now_ns),
+            pose_ns=pose_ns,
+            duty=np.array([team.roster.duty(row) for row in range(len(pose_ns))], dtype=np.int64),
+            held=board.hold,
+            lost=board.blind,
+            foreign=board.foreign,
+            formation=team.formation.formation,
+        )

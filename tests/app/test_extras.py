@@ -71,6 +71,7 @@ def test_what_an_extra_brings_is_what_the_program_says_of_it() -> None:
         (["bench", "gains"], "cvxpy", "solvers"),
         (["bench", "codec"], "pymavlink", "mavlink"),
         (["sitl", "--signing", "some.key"], "pymavlink", "mavlink"),
+        (["console"], "nicegui", "console"),
         (["vehicles", _MAVSDK_LINK], "mavsdk", "mavsdk"),
         (
             ["fly", "--mission", "first_flight2", "--set", "vehicles.0.link=mavsdk://udpin://0.0.0.0:14999"],

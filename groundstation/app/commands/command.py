@@ -48,7 +48,7 @@ def command(
     if not words:
         _list(out, found, silent)
         return
-    path, about = _choose(found, silent, flight)
+    path, about = choose_flight(found, silent, flight)
     if silent and flight is None:
         out.console.print(Text(_no_answer(silent), style="bold red"))
     try:
@@ -87,7 +87,7 @@ def _list(out: Output, found: list[tuple[Path, dict[str, Any]]], silent: Sequenc
     out.result({"flights": [about for _, about in found], "silent": [path.stem for path in silent]})
 
 
-def _choose(
+def choose_flight(
     found: list[tuple[Path, dict[str, Any]]], silent: Sequence[Path], wanted: str | None
 ) -> tuple[Path, dict[str, Any]]:
     """The flight that is meant.

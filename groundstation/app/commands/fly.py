@@ -43,6 +43,9 @@ def fly(
         ),
     ] = False,
     changes: SetOption = None,
+    console: Annotated[
+        bool, typer.Option("--console", help="Show the flight to gs console, in another terminal; on the wall clock.")
+    ] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -69,6 +72,8 @@ def fly(
     out = Output(as_json=as_json)
     if (realtime or udp) and not dry_run:
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
+    if console and dry_run and not (realtime or udp):
+        raise UserError("--console: a dry run in virtual time is over before anybody could look; add --realtime")
     if take_over and dry_run:
         raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
     if give_back and dry_run and not udp:
@@ -84,7 +89,7 @@ def fly(
         out.console.print(Text(f"replaces {log_path}"))
     started = time.monotonic()
     if dry_run and not udp:
-        values = fly_dry(out, plan, log_path, timetable, seed=seed, realtime=realtime)
+        values = fly_dry(out, plan, log_path, timetable, seed=seed, realtime=realtime, console=console)
     else:
         values = fly_vehicles(
             out,
@@ -96,6 +101,7 @@ def fly(
             give_back=give_back,
             replace_log=replaced,
             bare=bare,
+            console=console,
         )
     refused, beside = values.pop("refused"), values.pop("beside")
     values["wall_s"] = round(time.monotonic() - started, 3)

@@ -16,6 +16,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "gs fly --mission mine/mission.yaml --log flights/first",
     ),
     "command": ("gs command hold", "gs command land 3 --flight cube8"),
+    "console": ("gs console", "gs console --flight cube8 --port 8089"),
     "vehicles": ("gs vehicles udpin://0.0.0.0:14540 --seconds 6",),
     "check": ("gs check --mission mine/mission.yaml --fix",),
     "params": ("gs params save --mission cube8", "gs params diff --mission cube8"),

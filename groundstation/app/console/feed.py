@@ -1,0 +1,122 @@
+"""What the console knows of the flight: its snapshots as they come, and figures worked out of them. Decides nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from groundstation.app.console.snapshot import AIRBORNE, BYTES_MAX, Snapshot, decode
+from groundstation.app.order_socket import prepare_folder
+from groundstation.core.errors import UserError
+from groundstation.core.types import FloatArray
+
+_KEPT = 2_400
+_TAKEN_MAX = 32  # of those that wait, at once
+
+
+def distances_m(snapshot: Snapshot) -> FloatArray:
+    """Distances between all vehicles, shape (n, n), NaN where unknown."""
+    pos_m = snapshot.pos_team_enu_m
+    return np.asarray(np.linalg.norm(pos_m[:, None] - pos_m[None], axis=2))
+
+
+def smallest_distance_m(snapshot: Snapshot) -> float:
+    """Between two in the air; NaN while there are no two."""
+    up = (snapshot.state & AIRBORNE) != 0
+    between_m = distances_m(snapshot)[np.ix_(up, up)]
+    known_m = between_m[np.triu_indices(len(between_m), 1)]
+    return float(np.nanmin(known_m)) if np.isfinite(known_m).any() else np.nan
+
+
+def wished_m(snapshot: Snapshot) -> FloatArray:
+    """Distances of the formation under way, by vehicle, shape (n, n)."""
+    return np.asarray(np.linalg.norm(snapshot.goal_enu_m[:, None] - snapshot.goal_enu_m[None], axis=2))
+
+
+def largest_error_m(snapshot: Snapshot) -> float:
+    """Largest |d_ij - d*_ij| over all pairs; NaN where no distance is known."""
+    off_m = np.abs(distances_m(snapshot) - wished_m(snapshot))[np.triu_indices(len(snapshot.ids), 1)]
+    return float(np.nanmax(off_m)) if np.isfinite(off_m).any() else np.nan
+
+
+def ghost_enu_m(snapshot: Snapshot) -> FloatArray | None:
+    """The formation where it fits the vehicles best, turned about the vertical and shifted, shape (n, 3)."""
+    pos_m, goal_m = snapshot.pos_team_enu_m, snapshot.goal_enu_m
+    known = np.isfinite(pos_m).all(axis=1)
+    if not known.any() or np.allclose(goal_m, goal_m[0]):
+        return None
+    middle_m, goal_middle_m = pos_m[known].mean(axis=0), goal_m[known].mean(axis=0)
+    here, there = pos_m[known] - middle_m, goal_m[known] - goal_middle_m
+    turn = np.vdot(there[:, 0] + 1j * there[:, 1], here[:, 0] + 1j * here[:, 1])
+    angle_rad = float(np.angle(turn))
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    rot = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray((goal_m - goal_middle_m) @ rot.T + middle_m)
+
+
+class Feed:
+    """The listening end of the one-way stream.
+
+    Args:
+        folder: where the socket goes; the user's alone.
+        pid: of the flight.
+
+    Attributes:
+        last: newest snapshot, None before the first.
+        history: time, smallest distance, largest error of the formation, one row a snapshot, a tenth of a second apart.
+        problem: why the newest datagram could not be read.
+    """
+
+    def __init__(self, folder: Path, pid: int) -> None:
+        self.last: Snapshot | None = None
+        self.history: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
+        self.problem = ""
+        self._path = folder / f"{pid}-{os.getpid()}.view"
+        try:
+            prepare_folder(folder)
+            self._path.unlink(missing_ok=True)
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._socket.bind(str(self._path))
+            self._path.chmod(0o600)
+        except OSError as error:
+            raise UserError(f"gs console: cannot listen at {self._path}: {error.strerror or error}") from error
+
+    def close(self) -> None:
+        """Stops listening."""
+        self._socket.close()
+        self._path.unlink(missing_ok=True)
+
+    def read(self) -> None:
+        """Takes what has come."""
+        for _ in range(_TAKEN_MAX):
+            try:
+                data = self._socket.recv(BYTES_MAX)
+            except OSError:
+                return
+            try:
+                self.take(decode(data))
+                self.problem = ""
+            except ValueError as error:
+                self.problem = str(error)
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Takes a snapshot."""
+        self.last = snapshot
+        if not self.history or snapshot.t_s - self.history[-1][0] >= 0.1:
+            self.history.append((snapshot.t_s, smallest_distance_m(snapshot), largest_error_m(snapshot)))
+
+
+def remove_dead(folder: Path) -> None:
+    """Removes the sockets of consoles that ended without cleaning up."""
+    for path in folder.glob("*.view"):
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(str(path))
+            except ConnectionRefusedError:
+                path.unlink(missing_ok=True)

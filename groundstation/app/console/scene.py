@@ -1,0 +1,116 @@
+"""The team in three dimensions: vehicles with attitude and trail, safety regions, graph, ghost, pads and fence.
+
+Colours are those of Okabe and Ito, which people with any kind of colour vision tell apart.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+
+import numpy as np
+from nicegui import ui
+
+from groundstation.app.console.feed import distances_m, ghost_enu_m, wished_m
+from groundstation.app.console.snapshot import FOREIGN, HELD, LOST, Snapshot
+from groundstation.core import frames
+from groundstation.core.types import FloatArray
+
+BLUE, ORANGE, VERMILION, GREEN, SKY, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#56B4E9", "#888888"
+_TRAIL = 150
+_EDGE_GOOD_M, _EDGE_BAD_M = 0.1, 0.5
+_ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+def edge_colour(error_m: float) -> str:
+    """Green where a distance is as it should be, orange, vermilion where it is far off."""
+    return GREEN if error_m < _EDGE_GOOD_M else ORANGE if error_m < _EDGE_BAD_M else VERMILION
+
+
+def along(begin_m: FloatArray, end_m: FloatArray) -> list[list[float]]:
+    """Rotation that takes the x axis into a direction, as rows."""
+    x = (end_m - begin_m) / max(float(np.linalg.norm(end_m - begin_m)), 1e-9)
+    other = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    y = np.cross(other, x)
+    y /= np.linalg.norm(y)
+    rows: list[list[float]] = np.stack([x, y, np.cross(x, y)], axis=1).tolist()
+    return rows
+
+
+class TeamScene:
+    """One page's picture of the team; drawn when the first snapshot comes."""
+
+    def __init__(self, snapshot: Snapshot, *, dark: bool) -> None:
+        n, r_m = len(snapshot.ids), snapshot.words.radius_m
+        low, high = snapshot.fence_enu_m
+        self._middle, self._size_m = (low + high) / 2, float(np.max(high - low))
+        self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL) for _ in range(n)]
+        self.view = ui.scene(grid=(20, 20), background_color="#20242a" if dark else "#f4f4f4").classes("w-full h-96")
+        self.view.mark("scene")
+        body_m = 0.35 * r_m
+        with self.view as scene:
+            for pad_m in snapshot.pads_enu_m:
+                scene.cylinder(0.4 * r_m, 0.4 * r_m, 0.01).move(*pad_m.tolist()).rotate(1.5708, 0, 0).material(GREY)
+            for one, other in itertools.combinations(itertools.product((0, 1), repeat=3), 2):
+                if sum(a != b for a, b in zip(one, other, strict=True)) == 1:
+                    ends = [[float((low, high)[c][axis]) for axis, c in enumerate(end)] for end in (one, other)]
+                    scene.line(*ends).material(SKY)
+            self._bodies = [scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE) for _ in range(n)]
+            self._regions = [scene.sphere(r_m / 2).material(BLUE, 0.15) for _ in range(n)]
+            self._ghosts = [scene.sphere(0.3 * body_m).material(GREEN, 0.6).visible(False) for _ in range(n)]
+            self._edges = [scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREEN) for _ in snapshot.edges]
+            self._clouds = [scene.point_cloud([[0, 0, 0]], [[0, 0.45, 0.7]], 0.03) for _ in range(n)]
+            self._labels = [scene.text(str(sysid)) for sysid in snapshot.ids.tolist()]
+        self._colours: dict[int, str] = {}
+        self._r_m = r_m
+        self.look("side")
+
+    def look(self, where: str, snapshot: Snapshot | None = None) -> None:
+        """Moves the camera: top, side, or follow, which is near the team."""
+        x, y, z = self._middle.tolist()
+        away = 0.5 * self._size_m
+        if where == "follow" and snapshot is not None and np.isfinite(snapshot.pos_team_enu_m).any():
+            x, y, z = np.nanmean(snapshot.pos_team_enu_m, axis=0).tolist()
+            away = 1.5 * max(1.0, float(np.nanmax(np.ptp(snapshot.pos_team_enu_m, axis=0))))
+        top = where == "top"
+        self.view.move_camera(
+            x, y - (0.01 if top else away), z + (away if top else 0.25 * away), look_at_x=x, look_at_y=y, look_at_z=z
+        )
+
+    def show(self, snapshot: Snapshot, *, slowly: bool) -> None:
+        """Moves everything; ``slowly``: trails, graph and ghost too, which take longer."""
+        known = np.isfinite(snapshot.pos_team_enu_m).all(axis=1)
+        quats = np.where(np.isfinite(snapshot.quat_ned_from_frd), snapshot.quat_ned_from_frd, [1.0, 0.0, 0.0, 0.0])
+        rotations = _ENU_FROM_NED @ frames.rot_ned_from_flu(quats)
+        for row in np.flatnonzero(known).tolist():
+            at = snapshot.pos_team_enu_m[row].tolist()
+            self._bodies[row].move(*at).rotate_R(rotations[row].tolist())
+            self._regions[row].move(*at)
+            self._labels[row].move(at[0], at[1], at[2] + self._r_m)
+            bits = int(snapshot.state[row])
+            colour = VERMILION if bits & LOST else ORANGE if bits & (HELD | FOREIGN) else BLUE
+            if self._colours.get(row) != colour:
+                self._colours[row] = colour
+                self._bodies[row].material(colour)
+                self._regions[row].material(colour, 0.3 if bits & (LOST | FOREIGN | HELD) else 0.15)
+            if snapshot.extra_radius_m[row] > 0.0:
+                self._regions[row].scale(1.0 + 2.0 * float(snapshot.extra_radius_m[row]) / self._r_m)
+            self._trails[row].append(at)
+        if slowly:
+            self._graph(snapshot)
+            for cloud, trail in zip(self._clouds, self._trails, strict=True):
+                if trail:
+                    cloud.set_points(list(trail), [[0.0, 0.45, 0.7]] * len(trail))
+            ghost_m = ghost_enu_m(snapshot)
+            for row, ghost in enumerate(self._ghosts):
+                ghost.visible(ghost_m is not None)
+                if ghost_m is not None:
+                    ghost.move(*ghost_m[row].tolist())
+
+    def _graph(self, snapshot: Snapshot) -> None:
+        between_m, error_m = distances_m(snapshot), np.abs(distances_m(snapshot) - wished_m(snapshot))
+        for line, (i, j) in zip(self._edges, snapshot.edges.tolist(), strict=False):
+            if np.isfinite(between_m[i, j]):
+                begin_m, end_m = snapshot.pos_team_enu_m[i], snapshot.pos_team_enu_m[j]
+                line.move(*begin_m.tolist()).rotate_R(along(begin_m, end_m)).scale(float(between_m[i, j]))
+                line.material(edge_colour(float(error_m[i, j])))

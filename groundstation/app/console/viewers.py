@@ -1,0 +1,168 @@
+"""The flight's end of the one-way stream: sends snapshots to whoever looks, and never waits for anybody.
+
+A console listens at a socket of its own, ``PID-CONSOLE.view``, in the folder that only the user can open; the
+flight looks for such sockets once a second. Nobody there: nothing is built. One that does not read, or has gone, misses
+snapshots. Nothing is ever read here. Whatever goes wrong costs the picture and no tick.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from groundstation.app.console.snapshot import (
+    AIRBORNE,
+    ARMED,
+    BYTES_MAX,
+    FIGURES,
+    FOREIGN,
+    HELD,
+    LOST,
+    NOTES_MAX,
+    Snapshot,
+    Words,
+    encode,
+)
+from groundstation.app.session import Session
+from groundstation.core import frames
+from groundstation.mavlink.vehicle import UNKNOWN
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SECOND_NS
+
+EVERY_NS = SECOND_NS // 20
+"""Between two snapshots, at least."""
+_SEARCH_NS = SECOND_NS
+_ENDLESS_S = 1e9
+_TEXT_MAX = 300
+
+
+class Viewers:
+    """Whoever looks on; a watcher of the loop that never raises into it.
+
+    Args:
+        folder: where the consoles' sockets are.
+        plan: the mission.
+
+    Attributes:
+        sent: snapshots that were taken.
+        lost: snapshots that were not.
+        problem: why nothing is sent any more, "" while all is well.
+    """
+
+    def __init__(self, folder: Path, plan: MissionPlan) -> None:
+        self.sent = self.lost = 0
+        self.problem = ""
+        self._folder, self._plan = folder, plan
+        self._found: list[Path] = []
+        self._next_ns = self._search_ns = 0
+        self._notes: deque[tuple[float, str, str]] = deque(maxlen=NOTES_MAX)
+        self._said = [""] * plan.size
+        self._socket: socket.socket | None = None
+
+    def __enter__(self) -> Viewers:
+        """Opens the socket that is only written to."""
+        with contextlib.suppress(OSError):  # without it nobody is shown anything
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Closes it."""
+        if self._socket is not None:
+            self._socket.close()
+
+    def __call__(self, session: Session, now_ns: int) -> None:
+        """Sends a snapshot when one is due and somebody looks."""
+        if self.problem:
+            return
+        try:
+            for note in session.said:
+                if note.kind != "roles":
+                    self._keep(note.kind, note.text, now_ns)
+            over = session.runner.done
+            if now_ns >= self._search_ns:
+                self._search_ns = now_ns + _SEARCH_NS
+                self._found = sorted(self._folder.glob(f"{os.getpid()}-*.view"))
+            if self._found and (now_ns >= self._next_ns or over):
+                self._next_ns = now_ns + EVERY_NS
+                self._send(encode(self.snapshot(session, now_ns)))
+        except Exception as error:
+            self.problem = f"{type(error).__name__}: {error}"
+
+    def _keep(self, kind: str, text: str, now_ns: int) -> None:
+        self._notes.append((now_ns / SECOND_NS, kind, text[:_TEXT_MAX]))
+        who, says, words = text.partition(" says: ")
+        if says:
+            for row, vehicle in enumerate(self._plan.spec.vehicles):
+                if who == f"vehicle {vehicle.id}":
+                    self._said[row] = words[:_TEXT_MAX]
+
+    def _send(self, data: bytes) -> None:
+        for path in self._found:
+            try:
+                if self._socket is None or len(data) > BYTES_MAX:
+                    raise OSError("no socket, or too much")
+                self._socket.sendto(data, str(path))
+                self.sent += 1
+            except OSError:
+                self.lost += 1
+
+    def snapshot(self, session: Session, now_ns: int) -> Snapshot:
+        """The flight as it is now."""
+        runner, plan = session.runner, self._plan
+        fleet, figures, look = runner.fleet, runner.figures, runner.look(now_ns)
+        role = runner.role_of_agent
+        bits = ((look.held, HELD), (look.lost, LOST), (look.foreign, FOREIGN), (runner.airborne, AIRBORNE))
+        state = fleet.armed * ARMED + sum(mask * bit for mask, bit in bits)
+        known = {"setpoints": runner.setpoints_sent}
+        row_of_role = np.argsort(role)
+        edges = np.array(look.formation.edges, dtype=np.int64).reshape(-1, 2)
+        fence = plan.spec.fence
+        return Snapshot(
+            words=Words(
+                mission=plan.spec.name,
+                phase=runner.phase.value,
+                outcome=runner.outcome or "",
+                reason=runner.reason[:_TEXT_MAX],
+                modes=tuple(
+                    plan.autopilots[row].mode_name(mode) if mode != UNKNOWN else ""
+                    for row, mode in enumerate(fleet.custom_mode.tolist())
+                ),
+                said=tuple(self._said),
+                notes=tuple(self._notes),
+                radius_m=plan.spec.avoidance.radius_m,
+            ),
+            t_s=now_ns / SECOND_NS,
+            ids=fleet.sysid,
+            role=role,
+            duty=look.duty,
+            state=np.asarray(state, dtype=np.int64),
+            pos_team_enu_m=frames.enu_from_ned(look.poses.pos_team_ned_m),
+            quat_ned_from_frd=look.poses.quat_ned_from_frd,
+            setpoint_enu_m_s=frames.enu_from_ned(runner.sent_ned_m_s),
+            battery=fleet.battery_remaining,
+            pose_age_s=_age_s(now_ns - look.pose_ns),
+            silent_s=_age_s(now_ns - fleet.heard_ns),
+            extra_radius_m=look.poses.extra_radius_m,
+            pads_enu_m=plan.pads_enu_m,
+            goal_enu_m=look.formation.points_enu_m[role],
+            fence_enu_m=np.array([fence.min_m, fence.max_m], dtype=np.float64),
+            edges=row_of_role[edges],
+            figures=np.array([known.get(name, getattr(figures, name, np.nan)) for name in FIGURES], dtype=np.float64),
+        )
+
+
+def _age_s(
+    age_ns: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Seconds since something; NaN where it has not happened."""
+    age_s = age_ns / SECOND_NS
+    return np.where(age_s < _ENDLESS_S, age_s, np.nan)

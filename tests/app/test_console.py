@@ -1,0 +1,273 @@
+"""The console: what a flight sends it, what it makes of that, and who may look or give orders."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from contextlib import suppress
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from groundstation.app.console.feed import Feed, ghost_enu_m, largest_error_m, remove_dead, smallest_distance_m
+from groundstation.app.console.guard import Guard, Keys, Message, Receive, Role, Scope, Send
+from groundstation.app.console.helm import HelmSeat
+from groundstation.app.console.snapshot import AIRBORNE, FIGURES, Snapshot, decode, encode
+from groundstation.app.console.viewers import Viewers
+from groundstation.app.session import Session
+from groundstation.mission.operator import Order
+from tests.app.flights import Flight, pair
+from tests.app.test_order_socket import Desk
+
+TICK_NS = 20_000_000
+HOST = "127.0.0.1:8088"
+KEYS = Keys("look" * 8, "steer" * 8, frozenset({HOST, "localhost:8088"}), "gs_console_8088")
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[Flight, list[tuple[Snapshot, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]]]:
+    """A flight of two, and about every second what a console reads of it, and where they were by the emulator."""
+    plan = pair()
+    viewers = Viewers(Path("/nowhere"), plan)
+    seen: list[tuple[Snapshot, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]] = []
+
+    def look(flight: Flight) -> bool:
+        if flight.runner.done or flight.runner.figures.ticks % 40 == 0:
+            snapshot = decode(encode(viewers.snapshot(flight.session, flight.now_ns)))
+            seen.append((snapshot, np.array(flight.world.truth.pos_enu_m)))
+        return False
+
+    flight = Flight(plan, interrupt_when=look)
+    seen.append(
+        (decode(encode(viewers.snapshot(flight.session, flight.now_ns))), np.array(flight.world.truth.pos_enu_m))
+    )
+    return flight, seen
+
+
+def test_what_is_shown_is_where_they_are_and_what_the_answer_says(
+    flown: tuple[Flight, list[tuple[Snapshot, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]]],
+) -> None:
+    flight, seen = flown
+    in_the_air = [(snapshot, truth) for snapshot, truth in seen if ((snapshot.state & AIRBORNE) != 0).all()]
+    assert len(in_the_air) > 5
+    for snapshot, truth in in_the_air:
+        np.testing.assert_allclose(snapshot.pos_team_enu_m, truth, atol=0.8)  # GPS
+        assert smallest_distance_m(snapshot) == pytest.approx(np.linalg.norm(truth[0] - truth[1]), abs=0.8)
+    last = seen[-1][0]
+    assert (last.words.outcome, last.words.phase) == ("completed", "done")
+    for name in ("min_distance_m", "formation_error_m", "time_to_form_s", "ticks"):
+        assert last.figure(name) == getattr(flight.runner.figures, name)
+    assert last.figure("setpoints") == flight.runner.setpoints_sent
+    assert {"takeoff", "form", "hold", "return", "land"} <= {snapshot.words.phase for snapshot, _ in seen}
+    holding = [snapshot for snapshot, _ in seen if snapshot.words.phase == "hold"]
+    assert largest_error_m(holding[-1]) < 0.6
+    ghost_m = ghost_enu_m(holding[-1])
+    assert ghost_m is not None
+    np.testing.assert_allclose(ghost_m, holding[-1].pos_team_enu_m, atol=0.6)
+
+
+def _one(desk: Desk) -> Snapshot:
+    return Viewers(Path("/nowhere"), desk.session.runner.plan).snapshot(desk.session, desk.now_ns)
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    item = Desk(tmp_path / "gs")
+    with item.orders:
+        item.tick()
+    return item
+
+
+_BYTES = encode(_one(Desk(Path("/nowhere"))))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_a_snapshot_comes_back_as_it_was(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = decode(_BYTES)
+    grown: dict[str, object] = {}
+    for field in fields(Snapshot):
+        value = getattr(first, field.name)
+        if isinstance(value, np.ndarray) and field.name not in ("fence_enu_m", "figures", "edges"):
+            whole = value.dtype.kind == "i"
+            drawn = rng.integers(0, n, (n, *value.shape[1:])) if whole else rng.normal(size=(n, *value.shape[1:]))
+            grown[field.name] = drawn if whole else np.where(rng.random(drawn.shape) < 0.1, np.nan, np.float32(drawn))
+    words = replace(first.words, modes=("é",) * n, said=('"\n',) * n, notes=((1.5, "alarm", "näher"),))
+    one = replace(first, words=words, edges=rng.integers(0, n, (rng.integers(0, n), 2)), **grown)  # type: ignore[arg-type]
+    back = decode(encode(one))
+    assert (back.words, back.t_s) == (one.words, one.t_s)
+    for field in fields(Snapshot):
+        if isinstance(getattr(one, field.name), np.ndarray):
+            np.testing.assert_array_equal(getattr(back, field.name), getattr(one, field.name))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.one_of(st.binary(max_size=400), st.tuples(st.integers(0, len(_BYTES) - 1), st.integers(1, 255))))
+def test_bytes_that_are_no_snapshot_are_refused_in_words(bent: bytes | tuple[int, int]) -> None:
+    data = bytearray(_BYTES if isinstance(bent, tuple) else bent)
+    if isinstance(bent, tuple):
+        data[bent[0]] ^= bent[1]
+    with suppress(ValueError):
+        decode(bytes(data))
+    for cut in (len(_BYTES) - 1, 40, 3):
+        with pytest.raises(ValueError, match="snapshot: "):
+            decode(_BYTES[:cut])
+    with pytest.raises(ValueError, match="version 2, expected 1"):
+        decode(_BYTES[:6] + b"\x02\x00" + _BYTES[8:])
+
+
+def test_nothing_is_built_while_nobody_looks_and_who_never_reads_costs_nothing_more(
+    desk: Desk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built: list[int] = []
+    with Viewers(tmp_path, desk.session.runner.plan) as viewers:
+        snapshot = viewers.snapshot
+
+        def counted(session: Session, now_ns: int) -> Snapshot:
+            built.append(1)
+            return snapshot(session, now_ns)
+
+        monkeypatch.setattr(viewers, "snapshot", counted)
+        for tick in range(100):
+            viewers(desk.session, tick * TICK_NS)
+        assert built == []
+        feed = Feed(tmp_path, os.getpid())
+        for tick in range(100, 600):  # 10 s
+            viewers(desk.session, tick * TICK_NS)
+        assert 150 <= len(built) <= 200  # 20 a second and no more
+        assert viewers.lost > 100
+        assert viewers.sent + viewers.lost == len(built)
+        feed.read()
+        assert feed.last is not None
+        assert feed.last.words.mission == "first_flight2"
+        sent = viewers.sent
+        feed.close()  # gone: the flight goes on, and finds the next one
+        viewers(desk.session, 700 * TICK_NS)
+        again = Feed(tmp_path, os.getpid())
+        viewers(desk.session, 800 * TICK_NS)
+        again.read()
+        assert (viewers.sent, viewers.problem) == (sent + 1, "")
+        assert again.last is not None
+        again.close()
+
+
+def test_a_fault_of_the_stream_is_kept_from_the_flight(desk: Desk, tmp_path: Path) -> None:
+    feed = Feed(tmp_path, os.getpid())
+    with Viewers(tmp_path, desk.session.runner.plan) as viewers:
+        viewers.snapshot = None  # type: ignore[assignment, method-assign]
+        viewers(desk.session, TICK_NS)
+        assert "TypeError" in viewers.problem
+        viewers(desk.session, 10 * TICK_NS)
+    feed.close()
+
+
+def test_sockets_of_dead_consoles_are_removed(tmp_path: Path) -> None:
+    feed, dead = Feed(tmp_path, 1), tmp_path / "1-99999.view"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as item:
+        item.bind(str(dead))
+    remove_dead(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [f"1-{os.getpid()}.view"]
+    feed.close()
+
+
+def _ask(kind: str, query: str = "", **headers: str) -> tuple[bool, Message]:
+    """Whether a request came through the guard, and what was answered first."""
+    through: list[Scope] = []
+    answers: list[Message] = []
+
+    async def app(scope: Scope, _receive: Receive, _send: Send) -> None:
+        through.append(scope)
+
+    async def receive() -> Message:
+        return {"type": "websocket.connect"}
+
+    async def send(message: Message) -> None:
+        answers.append(message)
+
+    listed = [(name.encode(), value.encode()) for name, value in headers.items()]
+    scope: Scope = {"type": kind, "query_string": query.encode(), "headers": listed, "path": "/"}
+    asyncio.run(Guard(app, KEYS)(scope, receive, send))
+    return bool(through), answers[0] if answers else {}
+
+
+_STEERS, _LOOKS = f"a=b; gs_console_8088={KEYS.operator}", f"gs_console_8088={KEYS.viewer}"
+
+
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+@pytest.mark.parametrize(
+    ("headers", "passes"),
+    [
+        ({"host": HOST, "cookie": _STEERS}, True),
+        ({"host": HOST, "cookie": _LOOKS, "origin": f"http://{HOST}"}, True),
+        ({"host": "localhost:8088", "cookie": _LOOKS, "origin": "http://localhost:8088"}, True),
+        ({"host": HOST}, False),
+        ({"host": HOST, "cookie": "gs_console_8088=guess"}, False),
+        ({"host": HOST, "cookie": "gs_console_8088="}, False),
+        ({"host": HOST, "cookie": f"gs_console_9000={KEYS.operator}"}, False),
+        ({"host": HOST, "cookie": _STEERS, "origin": "http://evil.example"}, False),
+        ({"host": HOST, "cookie": _STEERS, "origin": "http://127.0.0.1:9999"}, False),
+        ({"host": HOST, "cookie": _STEERS, "origin": "null"}, False),
+        ({"host": "evil.example:8088", "cookie": _STEERS, "origin": "http://evil.example:8088"}, False),
+        ({"cookie": _STEERS}, False),
+    ],
+)
+def test_who_gets_in(*, kind: str, headers: dict[str, str], passes: bool) -> None:
+    through, answer = _ask(kind, **headers)
+    assert through is passes
+    if not passes and kind == "http":
+        assert answer["status"] == 403
+    elif not passes:
+        assert (answer["type"], answer["code"]) == ("websocket.close", 1008)
+
+
+def test_a_key_in_the_address_becomes_a_cookie_that_scripts_and_other_sites_do_not_get() -> None:
+    through, answer = _ask("http", f"token={KEYS.viewer}", host=HOST)
+    headers = dict(answer["headers"])  # type: ignore[call-overload]
+    assert (through, answer["status"], headers[b"location"]) == (False, 303, b"/")
+    assert headers[b"set-cookie"] == f"gs_console_8088={KEYS.viewer}; Path=/; HttpOnly; SameSite=Strict".encode()
+    assert _ask("http", "token=guess", host=HOST)[1]["status"] == 403
+    assert not _ask("websocket", f"token={KEYS.operator}", host=HOST)[0]
+    assert KEYS.role(KEYS.operator) is Role.OPERATOR
+    assert KEYS.role("\udcff") is None
+
+
+def test_one_steers_at_a_time_and_taking_over_is_seen() -> None:
+    helm = HelmSeat()
+    look, steer = Role.VIEWER, Role.OPERATOR
+    assert "viewer's key" in helm.take("c", "console c", look)
+    assert helm.refusal("a", steer, Order.HOLD, "form") == "take the helm first"
+    assert helm.take("a", "console a", steer) == ""
+    assert helm.refusal("a", steer, Order.HOLD, "form") == ""
+    assert helm.refusal("a", steer, Order.RESUME, "form") == "nothing is held"
+    assert helm.refusal("a", look, Order.KILL, "form").startswith("this page may only look")
+    assert helm.refusal("b", steer, Order.KILL, "form") == "console a steers; take over first"
+    assert helm.take("b", "console b", steer) == ""
+    assert helm.news == "console b has taken over from console a"
+    assert helm.refusal("a", steer, Order.KILL, "form") == "console b steers; take over first"
+    helm.leave("a")
+    assert helm.holder == "b"
+    helm.leave("b")
+    assert (helm.holder, helm.news) == ("", "console b has left; nobody steers from a console")
+
+
+def test_the_log_says_who_gave_an_order(tmp_path: Path) -> None:
+    desk = Desk(tmp_path / "gs")
+    with desk.orders:
+        assert desk.ask(b'{"order": "hold", "by": "console 12ab\\n' + b"x" * 100 + b'"}\n')["ok"]
+        told = [note.text for note in desk.session.take_notes() if "given by" in note.text]
+        assert told == [f"order hold: given by console 12ab?{'x' * 47}"]
+        desk.ask(b'{"order": "dance", "by": "me"}\n')
+        assert not [note for note in desk.session.take_notes() if "given by" in note.text]
+
+
+def test_the_figures_are_those_of_the_answer() -> None:
+    from groundstation.app.flying import _values
+
+    values = _values(Desk(Path("/nowhere")).session, None, None)
+    assert set(FIGURES) <= set(values)
