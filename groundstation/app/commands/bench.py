@@ -27,10 +27,10 @@ BENCHES = {
     "flood": "groundstation.app.bench_flood",
     "gains": "groundstation.app.bench_gains",
     "hostile": "groundstation.app.bench_hostile",
+    "law": "groundstation.app.bench_law",
     "sigkill": "groundstation.app.bench_sigkill",
 }
-"""Name: module with ``run(out: Output) -> dict``; that of sigkill takes ``runs`` and ``seed`` too."""
-_OPTIONS = ("sigkill",)
+"""Name: module with ``run(out: Output) -> dict``; those of sigkill and law take options of their own too."""
 
 
 def bench(
@@ -40,6 +40,13 @@ def bench(
     *,
     runs: Annotated[int, typer.Option(help="Flights that are killed (sigkill).", min=1, max=10_000)] = 50,
     seed: Annotated[int, typer.Option(help="Of the first flight (sigkill).", min=0)] = 1,
+    formations: Annotated[
+        str, typer.Option(help="What is formed, with commas (law).", metavar="NAME,...")
+    ] = "cube8,ring12,grid27",
+    profiles: Annotated[
+        str, typer.Option(help="Kinds of vehicles, with commas (law).", metavar="NAME,...")
+    ] = "crazyflie,px4_quad,arducopter",
+    seeds: Annotated[int, typer.Option(help="Starts of each kind (law).", min=1, max=1000)] = 3,
     as_json: JsonOption = False,
 ) -> None:
     """Measures speed as ratios in one run, or what a killed ground station leaves behind."""
@@ -50,12 +57,16 @@ def bench(
         need("mavlink", f"gs bench {name}")
     if name == "gains":
         need("solvers", "gs bench gains")
-    values: dict[str, Any] = import_module(BENCHES[name]).run(
-        out, **({"runs": runs, "seed": seed} if name in _OPTIONS else {})
-    )
+    options: dict[str, object] = {}
+    if name == "sigkill":
+        options = {"runs": runs, "seed": seed}
+    elif name == "law":
+        options = {"formations": formations.split(","), "profiles": profiles.split(","), "seeds": seeds}
+    values: dict[str, Any] = import_module(BENCHES[name]).run(out, **options)
     table = Table("figure", "value", title=f"bench {name}")
     for key, value in values.items():
         if isinstance(value, int | float | str):
             table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
-    out.console.print(table)
+    if table.row_count:
+        out.console.print(table)
     out.result(values)
