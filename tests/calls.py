@@ -18,23 +18,32 @@ import pytest
 
 import groundstation.mission
 from groundstation.mavlink.vehicle import Fleet
+from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.surroundings import Surroundings
+from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.runner import Runner
 
 KEPT = {
     "Standing.at": "kept by the tick's time; what it asks of the fleet is counted",
     "Standing.airborne": "the same",
+    "Killing.not_shown": "the same; whoever is killed in the tick is looked at anew",
 }
 MAY = {
     "Fleet.silent": "by the fleet itself too, which tells silence from missing heartbeats",
     "Columns.need_m": "of one vehicle that is about to land: for its place, and for who is below",
     "Fleet.heartbeat_stale": "by the monitor of heartbeats, and by who waits until everybody is down",
-    "Killing.not_shown": "before the phase's step, which may kill, and after it",
     "Placement.from_anchor": "the same place, compared with the pad and with the local position",
     "TeamFrame.pose_ns": "while vehicles are taken over: for who hits the ground, and for whom to hold",
     "Team.absent": "before landings are asked for, which changes who follows, and after that",
 }
 """What may be asked twice, and why."""
+INSIDE: dict[type, tuple[str, ...]] = {
+    Guide: ("_look_near",),
+    Surroundings: ("_look_around", "_find_reach_m", "_find_wider_m"),
+    Resting: ("_take",),
+}
+"""What is counted although only its own class asks for it: the work for all pairs, twice when somebody flies apart."""
 
 
 def _value(item: object) -> Hashable:
@@ -69,7 +78,8 @@ class Calls:
             self._alive += (*args, *more.values())
             result = function(*args, **more)
             self.counted.add(name)
-            if again and (acts or isinstance(result, np.ndarray | Poses)) and name not in KEPT | MAY:
+            inside = name.partition(".")[2].startswith("_")
+            if again and (acts or inside or isinstance(result, np.ndarray | Poses)) and name not in KEPT | MAY:
                 self.twice[name] += 1
             return result
 
@@ -101,7 +111,8 @@ def count_calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
     calls = Calls()
     for found in _classes():
         for name, method in list(vars(found).items()):
-            if isinstance(method, FunctionType) and not name.startswith("_") and (found, name) != (Runner, "step"):
+            counts = not name.startswith("_") or name in INSIDE.get(found, ())
+            if isinstance(method, FunctionType) and counts and (found, name) != (Runner, "step"):
                 monkeypatch.setattr(found, name, calls.counting(f"{found.__name__}.{name}", method))
     monkeypatch.setattr(Runner, "step", calls.ticking(Runner.step))
     return calls

@@ -19,6 +19,7 @@ from typing import TypedDict
 
 from groundstation.app.resources import packaged_configs
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.runner import Phase
 from groundstation.records.manifest import manifest_path
 from sitl.faults import load_faults
@@ -135,6 +136,11 @@ def _slow_link(log: Path) -> Flight:
     return _under("slow_link", pair(*slow), log)
 
 
+def _hello1(log: Path) -> Flight:
+    """A mission that comes along, as it comes: one vehicle, which flies to places."""
+    return Flight(load_mission(packaged_configs() / "missions" / "hello1.yaml"), log=log)
+
+
 def _rough_day(log: Path) -> Flight:
     """Four under the ids that the timetable speaks of."""
     ids = (f"vehicles.{row}.id={sysid}" for row, sysid in enumerate((1, 3, 5, 7)))
@@ -154,6 +160,7 @@ FLIGHTS: dict[str, Callable[[Path], Flight]] = {
     "lossy": _lossy,
     "slow_link": _slow_link,
     "rough_day": _rough_day,
+    "hello1": _hello1,
 }
 
 

@@ -15,8 +15,8 @@ from tests.reference import FLIGHTS, FOLDER, known_figures, unpack
 BYTES_MAX = 2_000_000
 
 
-COUNTED = ("lands_here", "taken_over")
-"""Between them they have preflight and take-over, all that is flown, and landings of one and of all."""
+COUNTED = ("lands_here", "taken_over", "goes_on")
+"""They have preflight and take-over, all that is flown, landings of one and of all, one that flies apart."""
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
@@ -31,6 +31,8 @@ def test_a_log_that_is_kept_is_flown_again_to_the_bit_and_nothing_is_done_twice_
     assert (result.setpoints > 0) == (known["outcome"] != "refused")
     if calls is not None:
         assert {"TeamFrame.poses", "Board.look", "Landing.step", "Fleet.stands"} <= calls.counted
+        assert ("Apart.step" in calls.counted) == (name == "goes_on")
+        assert {"Surroundings._look_around", "Surroundings.shown", "Resting._take"} <= calls.counted
         assert dict(calls.twice) == {}
 
 
@@ -42,4 +44,6 @@ def test_the_logs_show_what_they_are_kept_for_and_stay_small() -> None:
     assert {item["outcome"] for item in figures.values()} == {"completed", "aborted", "refused"}
     timetables = {path.stem for path in (packaged_configs() / "faults").glob("*.yaml")}
     assert timetables <= figures.keys()
+    packaged = {path.stem for path in (packaged_configs() / "missions").glob("*.yaml")}
+    assert packaged & figures.keys()
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) <= BYTES_MAX

@@ -159,11 +159,12 @@ def test_motors_are_stopped_again_and_again_until_a_newer_heartbeat_shows_it(pla
     assert killing.falling(SECOND_NS).tolist() == [False, True]
     two.fleet.armed[1] = False
     for heard_s in (0.0, 0.4):
-        two.hear(heard_s)
-        assert killing.not_shown().tolist() == [False, True]  # that heartbeat may be older than the order
+        assert killing.not_shown(two.hear(heard_s)).tolist() == [
+            False,
+            True,
+        ]  # that heartbeat may be older than the order
     assert [bool(killing.unheard(s * SECOND_NS)[1]) for s in (1, 60)] == [False, True]
-    two.hear(2.0)
-    assert not killing.not_shown().any()
+    assert not killing.not_shown(two.hear(2.0)).any()
     assert [bool(killing.falling(s * SECOND_NS)[1]) for s in (4, 6)] == [True, False]
 
 

@@ -23,15 +23,15 @@ from groundstation.core.limits import Fence, apply_limits, fence_bounds
 from groundstation.core.motion import Motion
 from groundstation.core.near import near_views
 from groundstation.core.places import Places, own_places
-from groundstation.core.quick import between, norms, some
+from groundstation.core.quick import norms, some
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, alone, local_views
 from groundstation.mission.flight.fleeing import Fleeing
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import OncePerPoses, Poses
+from groundstation.mission.flight.surroundings import Surroundings
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.plan.positioning import DEVIATIONS
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.plan.schema import AvoidanceSpec
 from groundstation.mission.plan.stages import Stage
@@ -40,7 +40,6 @@ _T = TypeVar("_T", bound=np.generic)
 
 _MANY = 64
 """From so many vehicles on it is quicker to look for those near each than to look at all pairs."""
-_LEVEL_MIN_M = 1e-3  # nearer than that there is no direction to leave in
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Guide:
         self._period_s = 1.0 / spec.rate_hz
         self._plan = plan
         # What positions may be off and gusts may do is added to r and d: then true distances stay above r.
-        self._margin_m = margin_m = fitting_margin_m(plan.keep_out_margin_m, plan.room_m)
+        margin_m = fitting_margin_m(plan.keep_out_margin_m, plan.room_m)
         self._region = plan.region.grown(margin_m)
         self._damper = DamperParams(
             radius_m=spec.avoidance.radius_m,
@@ -111,7 +110,7 @@ class Guide:
         # Beyond this distance no bound of the damper is below the speed limit, even head on at full speed.
         closing_m = 2.0 * spec.speed_limit_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
         widest = self._region.activation_m / self._region.radius_m
-        self._reach_m = max(widest * self._region.reach_m(0.0), self._region.reach_m(closing_m))
+        reach_m = max(widest * self._region.reach_m(0.0), self._region.reach_m(closing_m))
         # Critically damped on a lag of tau: the fastest way to a point that does not overshoot.
         self._approach_rate_1_s = 1.0 / (4.0 * (profile.lag_s + profile.delay_s))
         self._target_rate_1_s = approach_rate_1_s(profile, plan.lead_s)
@@ -125,8 +124,12 @@ class Guide:
         self._own_avoidance = (
             OwnAvoidance(f"avoidance {own[AVOIDANCE].use}", own[AVOIDANCE].make(), ids) if AVOIDANCE in own else None
         )
-        self._everyone: IntArray = np.tile(np.arange(plan.size), (plan.size, 1) if plan.size < _MANY else (1, 1))
+        everyone: IntArray = np.tile(np.arange(plan.size), (plan.size, 1) if plan.size < _MANY else (1, 1))
         self._fleeing = Fleeing(plan, self._damper.radius_m + self._damper.margin_m)
+        # Who flies apart is steered with the others' poses: what follows from these alone is worked out once.
+        self._flees = OncePerPoses(self._fleeing.wishes_ned_m_s)
+        self._near_views = OncePerPoses(self._look_near)
+        self._surroundings = Surroundings(plan, self._damper, reach_m, margin_m, everyone)
 
     def take_words(self) -> list[str]:
         """What people should know of a law of one's own, each thing once."""
@@ -240,9 +243,7 @@ class Guide:
 
     def _views(self, poses: Poses, neighbours: BoolArray) -> LocalViews:
         """What each agent sees: its neighbours, and whoever is near enough to hit."""
-        everybody = self._everyone
-        offset_ned, under = self._shown(poses, everybody)
-        near = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < self._reach_of(poses) ** 2
+        offset_ned, under, near = self._surroundings.of_all(poses)
         views = local_views(
             poses.pos_team_ned_m,
             poses.vel_ned_m_s,
@@ -250,48 +251,29 @@ class Guide:
             neighbours | near,
             poses.rot_ned_from_flu,
         )
-        return self._with_obstacles(poses, views, everybody, offset_ned, under)
+        return self._with_obstacles(poses, views, self._surroundings.everyone, offset_ned, under)
 
-    def _near_views(self, poses: Poses) -> tuple[LocalViews, IntArray]:
+    def _look_near(self, poses: Poses) -> tuple[LocalViews, IntArray]:
         """What each agent of a large team sees that is near enough to hit, a column for each, and who that is."""
         special = (poses.sinking | (poses.extra_radius_m > 0.0)).nonzero()[0]
         others = None
         if special.size:
             columns = np.broadcast_to(special, (self._plan.size, special.size))
-            offset_ned, _ = self._shown(poses, columns)
-            reach_m = np.broadcast_to(self._reach_of(poses), (1, self._plan.size))[:, special]
+            offset_ned, _ = self._surroundings.shown(poses, columns)
+            reach_m = np.broadcast_to(self._surroundings.reach_of(poses), (1, self._plan.size))[:, special]
             others = np.zeros((self._plan.size, self._plan.size), dtype=np.bool_)
             others[:, special] = np.einsum("ijk,ijk->ij", offset_ned, offset_ned) < reach_m**2
-        near_m = self._reach_m + self._widest_m(poses)
+        near_m = self._surroundings.reach_m(poses)
         near = near_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, near_m, others=others)
-        offset_ned, under = self._shown(poses, near.who)
+        offset_ned, under = self._surroundings.shown(poses, near.who)
         return self._with_obstacles(poses, near.views, near.who, offset_ned, under), near.who
-
-    def _shown(self, poses: Poses, who: IntArray) -> tuple[FloatArray, BoolArray]:
-        """Where others are taken to be, from each agent: offsets NED (n, k, 3) to ``who`` (n, k), and whom that moves.
-
-        A vehicle that is not steered by us may be coming down, and one whose position is lost may be anywhere below
-        where it was last seen: those below see it at their own height, so that they leave the column under it. It
-        does its half of no manoeuvre: inside the radius it is shown twice as deep inside, so that they do both halves.
-        Around a vehicle with an extra radius they do so by themselves.
-        """
-        offset_ned = poses.pos_team_ned_m[who] - poses.pos_team_ned_m[:, None]
-        under = np.asarray(poses.sinking[who] & (offset_ned[..., 2] < 0.0), dtype=np.bool_)
-        offset_ned[..., 2] = np.where(under, 0.0, offset_ned[..., 2])
-        if some(under):
-            keep_out_m = self._damper.radius_m + self._damper.margin_m
-            beside_m = np.maximum(norms(offset_ned), _LEVEL_MIN_M)
-            shown_m = between(2.0 * beside_m - keep_out_m, _LEVEL_MIN_M, beside_m)
-            steered = poses.extra_radius_m[who] == 0.0
-            offset_ned *= np.where(under & steered, shown_m / beside_m, 1.0)[..., None]
-        return offset_ned, under
 
     def _with_obstacles(
         self, poses: Poses, views: LocalViews, who: IntArray, offset_ned: FloatArray, under: BoolArray
     ) -> LocalViews:
         """Views with all extra radii, and with those that may come down where they are taken to be."""
         if np.count_nonzero(poses.vel_error_m_s):
-            views = replace(views, wider_m=self._wider_m(poses, who))
+            views = replace(views, wider_m=self._surroundings.wider_m(poses, who))
         if np.count_nonzero(poses.extra_radius_m):
             # From where it is itself, an obstacle has nobody to make room for.
             extra_m = np.where(poses.extra_radius_m[:, None] > 0.0, 0.0, poses.extra_radius_m[who])
@@ -302,32 +284,6 @@ class Guide:
         level_flu_m = frames.rotate_back(rot_ned_from_flu[:, None], offset_ned)
         shown = (under & views.visible)[..., None]
         return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
-
-    def _wider_m(self, poses: Poses, who: IntArray) -> FloatArray:
-        """What the margin is to grow by for pairs with a poor velocity, as far as there is room, shape of ``who``.
-
-        The damper holds d + T d' against r: of a pair T times the error of d' is missing, for three deviations.
-        """
-        plan, error_m_s = self._plan, poses.vel_error_m_s
-        pair_m = DEVIATIONS * self._damper.horizon_s * np.hypot(error_m_s[:, None], error_m_s[who])
-        wanted_m = np.hypot(plan.keep_out_margin_m, pair_m)
-        most_m = fitting_margin_m(np.inf, plan.room_m)
-        return np.asarray(np.maximum(np.minimum(wanted_m, most_m) - self._margin_m, 0.0))
-
-    def _widest_m(self, poses: Poses) -> float:
-        if not np.count_nonzero(poses.vel_error_m_s):
-            return 0.0
-        everybody = np.broadcast_to(np.arange(self._plan.size), (self._plan.size, self._plan.size))
-        return float(self._wider_m(poses, everybody).max())
-
-    def _reach_of(self, poses: Poses) -> FloatArray | float:
-        """How far each vehicle has to be seen by the others: farther where it is an obstacle, or a fast one."""
-        if not np.count_nonzero(poses.extra_radius_m):
-            return self._reach_m + self._widest_m(poses)
-        speed_m_s = np.nan_to_num(norms(poses.vel_ned_m_s))
-        faster_m_s = np.maximum(speed_m_s - self._plan.spec.speed_limit_m_s, 0.0)
-        farther_m = poses.extra_radius_m + faster_m_s * (1.0 / self._damper.rate_1_s + self._damper.horizon_s)
-        return self._reach_m + self._widest_m(poses) + np.where(poses.extra_radius_m > 0.0, farther_m, 0.0)[None, :]
 
     def _everybody(self, columns: NDArray[_T], visible: BoolArray, who: IntArray | None) -> NDArray[_T]:
         """Columns of those who are near as columns of everybody; as they are where they are that already."""
@@ -357,7 +313,7 @@ class Guide:
             turn = straight_on
         speed_max = self._plan.spec.speed_limit_m_s
         rot_ned_from_flu = poses.rot_ned_from_flu
-        flee_ned_m_s = self._fleeing.wishes_ned_m_s(poses)
+        flee_ned_m_s = self._flees(poses)
         if flee_ned_m_s is not None:
             box = self._fleeing.with_lower_floor(box)
         # What already moves towards a wall counts as if it were nearer, so that a lagging vehicle stops before it.

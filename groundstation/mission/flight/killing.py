@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue
-from groundstation.mavlink.vehicle import Fleet
+from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.landing import LOST_S
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Roster
@@ -27,11 +27,13 @@ class Killing:
     def __init__(self, plan: MissionPlan, fleet: Fleet, commands: CommandQueue, roster: Roster) -> None:
         self._plan, self._fleet, self._commands, self._roster = plan, fleet, commands, roster
         self._asking = AskAgain(plan.size, _ASK_AGAIN_NS)
+        self._looked_ns, self._not_shown = NEVER, roster.killed
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
         """Puts the command before everything else that waits for a vehicle."""
         vehicles = list(vehicles)
         self._roster.kill(vehicles, now_ns)
+        self._looked_ns = NEVER
         for vehicle in vehicles:
             self._commands.clear(vehicle)
             self._fleet.expect_disarm(vehicle)
@@ -39,19 +41,21 @@ class Killing:
 
     def step(self, now_ns: int) -> None:
         """Asks again, without end, as long as the vehicle has not shown that it is disarmed."""
-        for vehicle in (self.not_shown() & self._asking.all_due(now_ns)).nonzero()[0].tolist():
+        for vehicle in (self.not_shown(now_ns) & self._asking.all_due(now_ns)).nonzero()[0].tolist():
             self._commands.request(vehicle, self._plan.autopilots[vehicle].kill())
             self._asking.asked(vehicle, now_ns)
 
-    def not_shown(self) -> BoolArray:
-        """Vehicles that shall be dead and have not shown it yet, shape (n,)."""
-        shown: BoolArray = ~self._fleet.armed & (self._fleet.heartbeat_ns > self._roster.killed_ns + _NEWER_NS)
-        return self._roster.killed & ~shown
+    def not_shown(self, now_ns: int) -> BoolArray:
+        """Vehicles that shall be dead and have not shown it yet, shape (n,); worked out once a tick."""
+        if self._looked_ns != now_ns:
+            shown: BoolArray = ~self._fleet.armed & (self._fleet.heartbeat_ns > self._roster.killed_ns + _NEWER_NS)
+            self._looked_ns, self._not_shown = now_ns, self._roster.killed & ~shown
+        return self._not_shown
 
     def unheard(self, now_ns: int) -> BoolArray:
         """Vehicles that have not shown it, and are not heard any more, shape (n,): nobody waits for these."""
-        return self.not_shown() & self._fleet.silent(now_ns, LOST_S)
+        return self.not_shown(now_ns) & self._fleet.silent(now_ns, LOST_S)
 
     def falling(self, now_ns: int) -> BoolArray:
         """Vehicles that may be on their way down, shape (n,)."""
-        return self._roster.killed & (self.not_shown() | (now_ns - self._roster.killed_ns < _FALLS_NS))
+        return self._roster.killed & (self.not_shown(now_ns) | (now_ns - self._roster.killed_ns < _FALLS_NS))

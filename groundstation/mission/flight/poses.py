@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -52,6 +54,27 @@ class Poses:
                 object.__setattr__(self, name, np.zeros(n))
             elif given.shape != (n,):
                 raise ValueError(f"poses: {name} has shape {given.shape}, expected ({n},)")
+
+
+_T = TypeVar("_T")
+
+
+class OncePerPoses(Generic[_T]):
+    """What follows from poses alone, worked out once for each: the same for whoever asks again in the same tick.
+
+    Args:
+        work_out: called with poses that were not the ones of the call before; nobody may write into what it returns.
+    """
+
+    def __init__(self, work_out: Callable[[Poses], _T]) -> None:
+        self._work_out = work_out
+        self._last: tuple[Poses, _T] | None = None
+
+    def __call__(self, poses: Poses) -> _T:
+        """The answer for these poses, which are known again by being the same object."""
+        if self._last is None or self._last[0] is not poses:
+            self._last = poses, self._work_out(poses)
+        return self._last[1]
 
 
 def out_of_sight(poses: Poses) -> Poses:

@@ -24,7 +24,11 @@ _LEAST_M = 0.3  # while motors run or have just run: lifting off and touching do
 
 
 class Resting:
-    """Watches those that stand, from arming on."""
+    """Watches those that stand, from arming on.
+
+    Attributes:
+        moves: stand and say to be elsewhere, shape (n,): whatever setpoint follows from that is not sent.
+    """
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
@@ -33,15 +37,11 @@ class Resting:
         self._rest, self._flown = Rest(n), np.zeros(n, dtype=np.bool_)
         self._arming, self._lasting = Lasting(n, _LASTS_S), Lasting(n, _LASTS_S)
         self._told: BoolArray = np.zeros(n, dtype=np.bool_)
-
-    @property
-    def moves(self) -> BoolArray:
-        """Stand and say to be elsewhere, shape (n,): whatever setpoint follows from that is not sent."""
-        return np.asarray(self._rest.moved_m > self._limit_m)
+        self.moves: BoolArray = np.zeros(n, dtype=np.bool_)
 
     def while_arming(self, pos_team_ned_m: FloatArray, now_ns: int) -> dict[int, str]:
         """Takes positions of a tick before takeoff, shape (n, 3): everybody stands; returns what is wrong, by row."""
-        self._rest.take(pos_team_ned_m, np.ones(len(self._told), dtype=np.bool_))
+        self._take(pos_team_ned_m, np.ones(len(self._told), dtype=np.bool_))
         moved_m = norms(self._rest.moved_ned_m)
         return {
             row: f"its position has moved by {moved_m[row]:.2f} m while the team was arming, limit"
@@ -59,8 +59,12 @@ class Resting:
 
     def take(self, pos_team_ned_m: FloatArray, airborne: BoolArray) -> None:
         """Takes positions of a tick in flight, as reported, shape (n, 3), and who flies, shape (n,)."""
-        self._rest.take(pos_team_ned_m, ~airborne)
+        self._take(pos_team_ned_m, ~airborne)
         self._flown |= airborne
+
+    def _take(self, pos_team_ned_m: FloatArray, stands: BoolArray) -> None:
+        self._rest.take(pos_team_ned_m, stands)
+        self.moves = np.asarray(self._rest.moved_m > self._limit_m)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Keeps those on the ground that have not left it, and tells of those that have landed."""

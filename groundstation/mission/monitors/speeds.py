@@ -38,6 +38,7 @@ class PoorSpeeds:
 
     Attributes:
         calm: whose velocity has agreed with its positions for seconds without a break, shape (n,).
+        rms_m_s: ``told_error_m_s`` as far as it is reckoned with: zero where velocities are good, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -45,6 +46,7 @@ class PoorSpeeds:
         self._settle_s = plan.profile.lag_s + plan.profile.delay_s
         self._speeds = Speeds(plan.size)
         self._since_before = SinceBefore()
+        self.rms_m_s: FloatArray = np.zeros(plan.size)
         self._known_s: FloatArray = np.zeros(plan.size)
         self._calm = HeldEach(plan.size)
         self.calm: BoolArray = np.zeros(plan.size, dtype=np.bool_)
@@ -59,6 +61,7 @@ class PoorSpeeds:
         fresh = now_ns - pose_ns <= _FRESH_S * SECOND_NS
         counts = np.asarray(counts & fresh, dtype=np.bool_)
         self._speeds.take(poses.pos_team_ned_m, poses.vel_ned_m_s, passed_s, counts)
+        self.rms_m_s = np.asarray(self._speeds.share * self._speeds.rms_m_s)
         self._known_s += passed_s * counts
         calm = counts & (norms(self._speeds.error_ned_m_s) <= _CALM_M_S)
         self.calm = self._calm(np.asarray(calm, dtype=np.bool_), now_ns, _CALM_NS)
@@ -76,11 +79,6 @@ class PoorSpeeds:
     def told_error_m_s(self) -> FloatArray:
         """Root mean square of each velocity's error over 10 s, all axes; 0 until it is known, shape (n,)."""
         return self._speeds.rms_m_s
-
-    @property
-    def rms_m_s(self) -> FloatArray:
-        """The same as far as it is reckoned with: zero where velocities and positions agree, shape (n,)."""
-        return np.asarray(self._speeds.share * self._speeds.rms_m_s)
 
     @property
     def good(self) -> BoolArray:

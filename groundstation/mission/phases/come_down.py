@@ -41,7 +41,7 @@ class _ComingDown(PhaseState):
         unheard = team.killing.unheard(now_ns)
         lost = team.landing.lost(now_ns)
         unsure = team.landing.unsure(now_ns, lost)
-        up = team.landing.still_up(self.since_ns, lost | unsure) | (team.killing.not_shown() & ~unheard)
+        up = team.landing.still_up(self.since_ns, lost | unsure) | (team.killing.not_shown(now_ns) & ~unheard)
         late = now_ns - self.since_ns >= self._down_max_ns()
         down = self._down(late or not up.any(), now_ns, _DISARMED_NS)
         if not late and not down:
