@@ -67,6 +67,7 @@ def fly(
         with_fix,
     )
     from groundstation.app.resources import find_config
+    from groundstation.mission.plan.advice import advice
     from groundstation.mission.plan.reading import load_mission
 
     out = Output(as_json=as_json)
@@ -83,6 +84,8 @@ def fly(
     plan = load_mission(find_config(mission, "missions"), with_fix(changes, fix=fix))
     if not (dry_run or take_over or bare):
         check_method(plan)  # before anything is written
+    for line in advice(plan):
+        out.console.print(Text(line, style="bold yellow"))
     timetable = read_faults(faults, plan)
     log_path, replaced = log_path_of(plan, log, timetable, dry_run=dry_run, seed=seed, force=force)
     if replaced:
@@ -126,10 +129,13 @@ def check(
     from groundstation.app.progress import FlightDisplay, link_troubles
     from groundstation.app.resources import find_config
     from groundstation.app.session import Session
+    from groundstation.mission.plan.advice import advice
     from groundstation.mission.purpose import Purpose
 
     out = Output(as_json=as_json)
     plan = judged(out, find_config(mission, "missions"), with_fix(changes, fix=fix))
+    for line in advice(plan):
+        out.console.print(Text(line, style="bold yellow"))
     fences = give_fence(out, plan, may_set=fix)
     interrupts = Interrupts()
     keeper = BeforeKeeper(before_path(dated_path(plan)))
