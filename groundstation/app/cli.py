@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),
     "report": ("report", "Draw the pictures of a log."),
     "compare": ("compare", "Compare several flights: figures, and pictures over each other."),
+    "export": ("export", "Write a log for other programs: Parquet, CSV, MCAP."),
     "import": ("import_", "Turn another program's recorded flight into a log."),
     "campaign": ("campaign", "Fly a mission many times over random starts and faults, and sum up."),
     "identify": ("identify", "Find lag and delay of each vehicle's velocity loop in a log."),

@@ -8,6 +8,7 @@ from groundstation.core.errors import UserError
 
 EXTRAS: dict[str, tuple[str, ...]] = {
     "campaign": ("pyarrow", "dask", "distributed"),
+    "export": ("pyarrow", "mcap"),
     "mavlink": ("pymavlink",),
     "mavsdk": ("mavsdk",),
     "solvers": ("cvxpy",),

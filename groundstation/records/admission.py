@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.quick import norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.codec import Batch
+from groundstation.mavlink.codec import Batch, columns
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
 from groundstation.records.manifest import Values
 from groundstation.records.notes import PHASE_PREFIX, Event, Received
@@ -23,6 +24,7 @@ _ARM = "arm"
 _CHUNK = 2_048
 _BACK_MS = 1_000  # reordering on a link is quicker than this
 _ORIGIN_SAME = 50  # of 1e-7 degrees, 0.5 m, or of millimetres: less is a correction, not another origin
+_ROTATION_OFF = 0.05  # of 1 that a quaternion's length may be off, as in flight
 _TOLD_LATE_NS = 1_000_000_000
 
 
@@ -55,6 +57,26 @@ class Reports:
     def of(self, vehicle: int) -> Reports:
         """Those of one vehicle."""
         return self.where(self.vehicle == vehicle)
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """Attitudes that were let in, in the order of their arrival.
+
+    Attributes:
+        t_ns: arrivals, shape (k,).
+        vehicle: rows of the team, shape (k,).
+        rpy_ned_rad: roll, pitch and yaw, shape (k, 3).
+    """
+
+    t_ns: IntArray
+    vehicle: IntArray
+    rpy_ned_rad: FloatArray
+
+    def of(self, vehicle: int) -> Attitudes:
+        """Those of one vehicle."""
+        own = self.vehicle == vehicle
+        return Attitudes(self.t_ns[own], self.vehicle[own], self.rpy_ned_rad[own])
 
 
 class Admission:
@@ -100,6 +122,8 @@ class Admission:
         self._origin: dict[int, tuple[int, int, int]] = {}
         self._local: list[Reports] = []
         self._places: list[Reports] = []
+        self._quaternions: list[Attitudes] = []
+        self._angles: list[Attitudes] = []
 
     def take(self, record: Received) -> None:
         """Takes a frame that arrived; frames in the order of the log."""
@@ -139,6 +163,22 @@ class Admission:
         self._ingest()
         return _joined(self._places)
 
+    def attitudes(self) -> Attitudes:
+        """ATTITUDE_QUATERNION so far, and ATTITUDE of those who send no quaternions, as in flight."""
+        self._ingest()
+        told = {row for part in self._quaternions for row in part.vehicle.tolist()}
+        parts = list(self._quaternions)
+        for part in self._angles:
+            alone = ~np.isin(part.vehicle, list(told))
+            parts.append(Attitudes(part.t_ns[alone], part.vehicle[alone], part.rpy_ned_rad[alone]))
+        whole = np.zeros(0, dtype=np.int64)
+        parts.append(Attitudes(whole, whole, np.zeros((0, 3))))
+        return Attitudes(
+            np.concatenate([item.t_ns for item in parts]),
+            np.concatenate([item.vehicle for item in parts]),
+            np.concatenate([item.rpy_ned_rad for item in parts]),
+        )
+
     def _ingest(self) -> None:
         waiting, self._waiting = self._waiting, []
         if waiting:
@@ -163,6 +203,15 @@ class Admission:
             velocity = np.stack([values["vx"], values["vy"], values["vz"]], axis=1) * 0.01
             whole = Reports(t_ns, vehicle, values["time_boot_ms"].astype(np.int64), place, velocity)
             self._places.append(whole.where(news))
+        elif batch.name == "ATTITUDE_QUATERNION":
+            quat = columns(values, "q1", 4).astype(np.float64)
+            norm = norms(quat)
+            good: BoolArray = np.asarray(np.isfinite(norm) & (np.abs(norm - 1.0) < _ROTATION_OFF))
+            self._quaternions.append(Attitudes(t_ns[good], vehicle[good], _rpy_ned_rad(quat[good])))
+        elif batch.name == "ATTITUDE":
+            angles = np.stack([values[name] for name in ("roll", "pitch", "yaw")], axis=1).astype(np.float64)
+            good = np.asarray(np.isfinite(angles).all(axis=1))
+            self._angles.append(Attitudes(t_ns[good], vehicle[good], angles[good]))
         elif batch.name == "GPS_GLOBAL_ORIGIN":
             for row, t, item in zip(vehicle[news].tolist(), t_ns[news].tolist(), values[news], strict=True):
                 self._look_at_origin(row, t, (int(item["latitude"]), int(item["longitude"]), int(item["altitude"])))
@@ -215,6 +264,15 @@ def of_mission(mission: Values) -> Admission:
         signed=signed,
         velocity_needed="source" not in mission,
     )
+
+
+def _rpy_ned_rad(quat_ned_from_frd: FloatArray) -> FloatArray:
+    """Roll, pitch and yaw, shape (k, 3), of quaternions, scalar first, shape (k, 4), of any length."""
+    w, x, y, z = (quat_ned_from_frd / norms(quat_ned_from_frd)[:, None]).T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=1)
 
 
 def _joined(parts: Sequence[Reports]) -> Reports:

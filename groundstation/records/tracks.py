@@ -27,6 +27,9 @@ class VehicleTrack:
         sysid: MAVLink system id.
         t_ns: times of the reported positions, shape (k,), not decreasing.
         pos_team_enu_m: reported positions, shape (k, 3); in the vehicle's own frame when ``in_team_frame`` is False.
+        vel_enu_m_s: velocities of the same reports, shape (k, 3); NaN where they told none.
+        attitude_t_ns: times of the reported attitudes, shape (a,), not decreasing.
+        rpy_ned_rad: roll, pitch and yaw of those attitudes, shape (a, 3).
         in_team_frame: whether the place of its origin in the team's frame is known.
         setpoint_t_ns: times of the velocity setpoints sent to it, shape (m,).
         setpoint_vel_enu_m_s: those setpoints, shape (m, 3).
@@ -35,6 +38,9 @@ class VehicleTrack:
     sysid: int
     t_ns: IntArray
     pos_team_enu_m: FloatArray
+    vel_enu_m_s: FloatArray
+    attitude_t_ns: IntArray
+    rpy_ned_rad: FloatArray
     in_team_frame: bool
     setpoint_t_ns: IntArray
     setpoint_vel_enu_m_s: FloatArray
@@ -84,6 +90,7 @@ def tracks_of(
     moved = _moved(mission, result)
     settled_ns = start_ns if admission.armed_ns is None else admission.armed_ns
     set_t, set_id, vel = setpoint_columns(setpoints)
+    attitudes = admission.attitudes()
     tracks = []
     for row, sysid in enumerate(sysids):
         own = local.of(row)
@@ -94,12 +101,17 @@ def tracks_of(
         offset = np.zeros(3) if by_place else offsets.get(sysid)
         north, east, down = own.position[keep].T
         order = np.argsort(own.t_ns[keep], kind="stable")
-        target = set_id == sysid
+        vel_north, vel_east, vel_down = own.vel_ned_m_s[keep][order].T
+        leant, target = attitudes.of(row), set_id == sysid
+        in_time = np.argsort(leant.t_ns, kind="stable")
         tracks.append(
             VehicleTrack(
                 sysid=sysid,
                 t_ns=own.t_ns[keep][order],
                 pos_team_enu_m=(np.stack([east, north, -down], axis=-1) + (0.0 if offset is None else offset))[order],
+                vel_enu_m_s=np.stack([vel_east, vel_north, -vel_down], axis=-1),
+                attitude_t_ns=leant.t_ns[in_time],
+                rpy_ned_rad=leant.rpy_ned_rad[in_time],
                 in_team_frame=offset is not None,
                 setpoint_t_ns=set_t[target],
                 setpoint_vel_enu_m_s=vel[target],

@@ -69,6 +69,8 @@ def test_what_an_extra_brings_is_what_the_program_says_of_it() -> None:
         (["campaign", "--mission", "first_flight2", "--runs", "1", "-o", "out"], "distributed", "campaign"),
         (["design", "cube8", "--method", "cvxpy"], "cvxpy", "solvers"),
         (["bench", "gains"], "cvxpy", "solvers"),
+        (["export", "flight", "--to", "parquet", "-o", "out"], "pyarrow", "export"),
+        (["export", "flight", "--to", "mcap", "-o", "out"], "mcap", "export"),
         (["bench", "codec"], "pymavlink", "mavlink"),
         (["sitl", "--signing", "some.key"], "pymavlink", "mavlink"),
         (["console"], "nicegui", "console"),

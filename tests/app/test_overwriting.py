@@ -169,7 +169,7 @@ def test_every_command_that_writes_takes_force() -> None:
         if "--force" in options:
             forced.add(name)
     # `gs init` names a folder and no option; `gs signing new` makes a key, which nothing may replace.
-    assert forced == {"fly", "design", "new", "init", "params", "import", "report", "compare", "campaign"}
+    assert forced == {"fly", "design", "new", "init", "params", "import", "report", "compare", "campaign", "export"}
 
 
 def test_a_folder_of_ones_own_is_written_into_with_force_only(

@@ -30,6 +30,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "replay": ("gs replay flights/cube8-seed0 --verify",),
     "report": ("gs report flights/cube8-seed0 -o report --also svg",),
     "compare": ("gs compare flights/cube8-seed0 flights/cube8-seed0-2 -o compared",),
+    "export": ("gs export flights/cube8-seed0 --to parquet -o cube8.parquet",),
     "import": ("gs import crazyswarm recorded -o imported --formation two_squares9",),
     "campaign": (
         "gs campaign --mission cube8 --runs 200 --seed 1 -o campaign",
