@@ -123,6 +123,24 @@ class Senses:
         """Height above it."""
         return float(self._motion.pos_enu_m[2, self._index]) - self.ground_m
 
+    @property
+    def vel_enu_m_s(self) -> Place:
+        """Believed velocity in the world's frame."""
+        i = self._index
+        x, y, z = (self._motion.vel_enu_m_s[:, i] + self._estimator.vel_error[:, i]).tolist()
+        return x, y, z
+
+    @property
+    def up_enu(self) -> Place:
+        """Upward body axis, a unit vector in the world's frame."""
+        x, y, z = self._motion.up_enu[:, self._index].tolist()
+        return x, y, z
+
+    @property
+    def wrecked(self) -> bool:
+        """Whether it has hit the ground tumbling and lies there."""
+        return bool(self._motion.crashed[self._index])
+
 
 class Motors:
     """What a vehicle flies with, and what it is told to fly."""

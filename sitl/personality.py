@@ -65,6 +65,9 @@ class Personality:
         messages: streamed types that only vehicles of this kind send, beside those of ``sitl.messages``.
         simulator: how the firmware's own simulator is started; None without one.
         usual: whether it is meant where nobody says; it comes first in lists then.
+        first_port: of a kind that speaks something else than MAVLink: vehicle i (from 0) listens on this UDP port + i,
+            gets datagrams as they come (``Traits.datagram``), and sends one packet a datagram to whoever has spoken to
+            it. None: MAVLink, sent to the ground station's port.
     """
 
     name: str
@@ -80,3 +83,4 @@ class Personality:
     messages: Mapping[str, Message] = field(default_factory=dict)
     simulator: Simulator | None = None
     usual: bool = False
+    first_port: int | None = None

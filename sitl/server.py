@@ -20,6 +20,7 @@ from typing import TextIO
 
 from sitl.config import SECOND
 from sitl.faults import FaultError, parse_faults
+from sitl.personalities import PERSONALITIES
 from sitl.world import World, WorldConfig
 
 _FIRST_SOURCE_PORT = 14580
@@ -80,7 +81,7 @@ class Server:
     Args:
         config: the world; its clock and date are set to the machine's when it starts.
         seed: of the world.
-        port: UDP port of the ground station.
+        port: UDP port of the ground station; of kinds that listen on ports of their own, the first vehicle's.
         port_per_vehicle: vehicle i (from 0) sends to ``port + i``.
         host: address of the ground station, and of the vehicles.
         tcp_port: vehicle i listens for TCP on ``tcp_port + 10 * i``, as ArduPilot's SITL; None for no TCP.
@@ -128,9 +129,13 @@ class Server:
         self._listeners: list[socket.socket] = []
         try:
             for i in range(n):
-                self._sockets.append(_udp_socket(host, _FIRST_SOURCE_PORT + i))
+                own_port = PERSONALITIES[config.vehicles[i].autopilot].first_port
+                self._sockets.append(
+                    _udp_socket(host, _FIRST_SOURCE_PORT + i) if own_port is None else _listener(host, port + i)
+                )
                 self._selector.register(self._sockets[i], selectors.EVENT_READ, (i, None))
-                self._targets.append((host, port + i if port_per_vehicle else port) if udp else None)
+                sends = udp and own_port is None
+                self._targets.append((host, port + i if port_per_vehicle else port) if sends else None)
                 if tcp_port is not None:
                     listener = _tcp_listener(host, tcp_port + 10 * i)
                     self._listeners.append(listener)
@@ -296,6 +301,18 @@ def _udp_socket(host: str, preferred_port: int) -> socket.socket:
         item.bind((host, preferred_port))
     except OSError:
         item.bind((host, 0))
+    return item
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    """A non-blocking socket on this port: clients know no other (OSError where it is taken)."""
+    item = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    item.setblocking(False)
+    try:
+        item.bind((host, port))
+    except OSError as error:
+        item.close()
+        raise OSError(f"UDP port {port}: {error.strerror}") from error
     return item
 
 

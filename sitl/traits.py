@@ -79,3 +79,6 @@ class Traits(ABC):
 
     def touched_down(self) -> None:  # noqa: B027
         """Called when the land detector has decided."""
+
+    def datagram(self, data: bytes) -> None:  # noqa: B027
+        """Takes a datagram as it came, where the kind speaks something else than MAVLink."""

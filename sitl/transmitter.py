@@ -6,7 +6,7 @@ Refuses to decide who sends what and when.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,10 +46,17 @@ class Transmitter:
         state: of the world.
         downlinks: link from each vehicle.
         messages: streamed types and how they are made.
+        plain: vehicles that send one packet a datagram, and nothing that is MAVLink.
     """
 
-    def __init__(self, state: State, downlinks: Sequence[Channel], messages: Mapping[str, Message]) -> None:
-        self._state, self._downlinks, self._messages = state, downlinks, messages
+    def __init__(
+        self,
+        state: State,
+        downlinks: Sequence[Channel],
+        messages: Mapping[str, Message],
+        plain: Container[int] = (),
+    ) -> None:
+        self._state, self._downlinks, self._messages, self._plain = state, downlinks, messages, plain
         self._pending: list[tuple[list[int], list[bytes]]] = []  # vehicles, and a frame of each, as they were made
         self._under_way: list[_Late] = []
         self._order = 0
@@ -112,7 +119,7 @@ class Transmitter:
                     signing.date(state.unix_us())
                 frames = [signing.sign(frame) for frame in made]
             channel = self._downlinks[index]
-            for data in _datagrams(frames):
+            for data in frames if index in self._plain else _datagrams(frames):
                 if channel.config is PERFECT:
                     outgoing.append(Outgoing(state.now_ns, index, data))
                     continue

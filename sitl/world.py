@@ -85,9 +85,10 @@ class World:
         uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
         downlinks = [Channel(config.downlink, np.random.default_rng(s)) for s in seeds[4 + n :]]
         self.links = list(zip(uplinks, downlinks, strict=True))
-        self._transmitter = Transmitter(self.state, downlinks, messages)
+        plain = frozenset(i for i, vehicle in enumerate(config.vehicles) if _first_port(vehicle) is not None)
+        self._transmitter = Transmitter(self.state, downlinks, messages, plain)
         self._radio = Radio(self._transmitter.emit, self._send_now, self.reboot)
-        self._receiver = Receiver(uplinks)
+        self._receiver = Receiver(uplinks, plain)
         self._next_tick_ns = config.start_ns
         self.frame_errors = [0] * n
         self.autopilots: list[Autopilot] = [self._power_up(i) for i in range(n)]
@@ -231,12 +232,17 @@ class World:
     def _send_now(self, index: int, name: str) -> bool:
         return self._transmitter.make(name, np.array([index])) == 1
 
-    def _take(self, vehicle: int, frame: Frame) -> None:
+    def _take(self, vehicle: int, frame: Frame | bytes) -> None:
         pilot = self.autopilots[vehicle]  # a reboot in between makes a new one
-        if not (self.state.talking[vehicle] and self.state.signing[vehicle].accepts(frame)):
+        if not self.state.talking[vehicle]:
+            return
+        if isinstance(frame, Frame) and not self.state.signing[vehicle].accepts(frame):
             return
         try:
-            pilot.receive(frame)
+            if isinstance(frame, Frame):
+                pilot.receive(frame)
+            else:
+                pilot.datagram(frame)
         except Exception:  # whatever one sender's frame does, the other vehicles fly on
             self.frame_errors[vehicle] += 1
 
@@ -260,6 +266,10 @@ class World:
         return pilot
 
 
+def _first_port(vehicle: VehicleConfig) -> int | None:
+    return PERSONALITIES[vehicle.autopilot].first_port
+
+
 def _check(config: WorldConfig) -> None:
     seen: set[int] = set()
     for k, vehicle in enumerate(config.vehicles):
@@ -276,3 +286,5 @@ def _check(config: WorldConfig) -> None:
         ):
             if value not in known:
                 raise ValueError(f"{where}: {key} is {value!r}, one of {', '.join(known)} is needed")
+        if vehicle.signing_key is not None and _first_port(vehicle) is not None:
+            raise ValueError(f"{where}: {vehicle.autopilot} does not sign, it speaks no MAVLink; leave the key out")

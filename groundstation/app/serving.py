@@ -25,6 +25,7 @@ from sitl.server import Server
 from sitl.world import WindConfig, WorldConfig
 
 _ROWS_SHOWN = 30
+_GROUND_STATION_PORT = 14540
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class SitlOptions:
 
     vehicles: int
     autopilot: str
-    port: int
+    port: int | None
     seed: int
     faults: Path | None
     orders: bool
@@ -51,6 +52,23 @@ class SitlOptions:
     mavlink: int
     real_boot: bool
     signing: Path | None
+
+
+def first_port(options: SitlOptions) -> int:
+    """The ground station's UDP port, or the first vehicle's of a kind that listens on ports of its own."""
+    if options.port is not None:
+        return options.port
+    kind = PERSONALITIES.get(options.autopilot)
+    return _GROUND_STATION_PORT if kind is None or kind.first_port is None else kind.first_port
+
+
+def where(options: SitlOptions) -> str:
+    """The ports that it is served on, in words."""
+    port, last = first_port(options), first_port(options) + options.vehicles - 1
+    if PERSONALITIES[options.autopilot].first_port is not None:
+        return f"listening on udp 127.0.0.1:{port}" + (f" to {last}" if last > port else "")
+    words = f"udp 127.0.0.1:{port}" + (f" to {last}" if options.port_per_vehicle else "")
+    return words if options.tcp_port is None else f"{words}, tcp {options.tcp_port} and up by 10"
 
 
 def open_server(options: SitlOptions) -> Server:
@@ -75,12 +93,15 @@ def open_server(options: SitlOptions) -> Server:
     ):
         if not low <= number <= high:
             raise UserError(f"{name}: {number} is out of range, limits {low} and {high}")
-    last = options.port + (options.vehicles - 1 if options.port_per_vehicle else 0)
+    port, own_ports = first_port(options), PERSONALITIES[options.autopilot].first_port is not None
+    last = port + (options.vehicles - 1 if options.port_per_vehicle or own_ports else 0)
     tcp_last = (options.tcp_port or 1) + 10 * (options.vehicles - 1)
-    if not 1 <= options.port <= last <= 65535:
-        raise UserError(f"--port: {options.port} (up to {last}) is out of range, limits 1 and 65535")
+    if not 1 <= port <= last <= 65535:
+        raise UserError(f"--port: {port} (up to {last}) is out of range, limits 1 and 65535")
     if options.tcp_port is not None and not 1 <= options.tcp_port <= tcp_last <= 65535:
         raise UserError(f"--tcp: {options.tcp_port} (up to {tcp_last}) is out of range, limits 1 and 65535")
+    if own_ports and options.tcp_port is not None:
+        raise UserError(f"--tcp: {options.autopilot} listens on UDP alone; leave it out, --port chooses the UDP ports")
     if options.signing is not None:
         need("mavlink", "gs sitl --signing")
     key = None if options.signing is None else read_key(options.signing).setup_bytes()
@@ -106,7 +127,7 @@ def open_server(options: SitlOptions) -> Server:
         return Server(
             config,
             options.seed,
-            port=options.port,
+            port=port,
             port_per_vehicle=options.port_per_vehicle,
             tcp_port=options.tcp_port,
             orders=sys.stdin if options.orders else None,

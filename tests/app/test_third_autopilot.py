@@ -61,7 +61,7 @@ def test_the_bytes_of_the_others_stay_as_they_are(request: pytest.FixtureRequest
     config = WorldConfig(vehicles=[*fleet(2), *fleet(3, autopilot="arducopter")[2:]])
     alone = _sent(World(config, 3))
     request.getfixturevalue("toycopter")
-    assert list(personalities.PERSONALITIES) == ["px4", "arducopter", "toycopter"]
+    assert list(personalities.PERSONALITIES) == ["px4", "arducopter", "crazyflie", "toycopter"]
     assert _sent(World(config, 3)) == alone
 
 

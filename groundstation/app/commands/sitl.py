@@ -37,7 +37,13 @@ def sitl(
             help=f"Who flies them: {', '.join(personality_names())}.", autocompletion=choice(*personality_names())
         ),
     ] = "px4",
-    port: Annotated[int, typer.Option(help="UDP port of the ground station on 127.0.0.1.")] = 14540,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            help="UDP port of the ground station on 127.0.0.1, 14540 if not given; of crazyflie the port on which the"
+            " first vehicle listens (19850), the others on those that follow."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
     faults: Annotated[Path | None, typer.Option(help="Timetable of faults (YAML).")] = None,
     orders: Annotated[
@@ -71,7 +77,7 @@ def sitl(
     """Emulates vehicles with their autopilots and sends them to a UDP port of this machine."""
     from rich.live import Live
 
-    from groundstation.app.serving import SitlOptions, open_server, server_picture, tell_errors
+    from groundstation.app.serving import SitlOptions, open_server, server_picture, tell_errors, where
 
     options = SitlOptions(
         vehicles, autopilot, port, seed, faults, orders, port_per_vehicle, profile, noise, streams, gps, spacing_m,
@@ -82,10 +88,7 @@ def sitl(
     with open_server(options) as server:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stop.set())
-        where = f"udp 127.0.0.1:{port}" + (f" to {port + vehicles - 1}" if port_per_vehicle else "")
-        if tcp_port is not None:
-            where += f", tcp {tcp_port} and up by 10"
-        out.console.print(f"{vehicles} vehicles, {autopilot}, seed {seed}: {where}. Ctrl-C ends.")
+        out.console.print(f"{vehicles} vehicles, {autopilot}, seed {seed}: {where(options)}. Ctrl-C ends.")
         sys.stdout.flush()
         if out.console.is_terminal:
             with Live(server_picture(server), console=out.console, refresh_per_second=4, transient=True) as live:
