@@ -57,6 +57,7 @@ LARGER_IN_THE_EMULATOR = {
     "Autopilot": "one vehicle: how it talks (Conversation), what its kind answers (Traits), what all do alike",
     "Px4": "the same, as PX4: a handler for each command and message that the firmware has one for",
     "ArduCopter": "the same, as ArduCopter",
+    "Crazyflie": "the same, as a Crazyflie: what it answers is its Desk's",
 }
 """The same in the emulator. An autopilot is handed whole to whoever asks for its ``Traits``; whatever acts by itself
 (battery, mission, loops, parameters, streams, vision) is an object beside it."""

@@ -11,21 +11,13 @@ from sitl.config import VehicleConfig
 from sitl.mavlink_ids import ACCEPTED, DENIED
 from sitl.mission import MissionEnd
 from sitl.outfit import Outfit
-from sitl.personalities.crazyflie import crtp
 from sitl.personalities.crazyflie.commander import Commander
-from sitl.personalities.crazyflie.logs import LogPort
-from sitl.personalities.crazyflie.params import ParamPort
+from sitl.personalities.crazyflie.crtp import LOG, NULL, read, write
+from sitl.personalities.crazyflie.desk import Desk
 from sitl.personalities.crazyflie.poses import Poses
 from sitl.personalities.crazyflie.supervisor import Situation, Stage, Supervisor
 from sitl.setpoints import Setpoint
 
-_PROTOCOL_VERSION = 12
-_ECHO, _SOURCE = 0, 1
-_VERSION_CHANNEL, _GET_PROTOCOL, _GET_FIRMWARE = 1, 0, 1
-_PLATFORM_ARM, _PLATFORM_RECOVER = 1, 2
-_GET_STATE, _ANSWER = 0x0C, 0x80
-_ARM, _RECOVER, _EMERGENCY_STOP, _WATCHDOG = 1, 2, 3, 4
-_OLD_EMERGENCY_STOP, _OLD_WATCHDOG = 3, 4
 _MS = 1_000_000
 
 
@@ -44,106 +36,24 @@ class Crazyflie(Autopilot):
         self.commander, self.supervisor = Commander(), Supervisor()
         self.poses = Poses(body, config.sysid & 0xFF)
         self.packets_in = 0
-        self._param_port, self._log_port = ParamPort(self.params), LogPort(self)
+        self._desk = Desk(self)
 
     # -- packets ------------------------------------------------------------------------------------------------
 
     def datagram(self, data: bytes) -> None:
         """Takes one CRTP packet and answers it."""
-        packet = crtp.read(data)
+        packet = read(data)
         if packet is None:
             return
         self.packets_in += 1
         if data[0] & 0xF3 == 0xF3:  # the null packet, whatever its middle bits
-            self.body.link.emit(crtp.NULL)
+            self.body.link.emit(NULL)
             return
-        answer = self._answer(packet)
+        answer = self._desk.answer(packet)
         if answer is not None:
-            self.body.link.emit(crtp.write(packet.port, packet.channel, answer))
-
-    def _answer(self, packet: crtp.Packet) -> bytes | None:
-        port, channel, data = packet
-        now_ns, senses = self.body.now_ns, self.body.senses
-        if port == crtp.PARAM:
-            return self._param_port.answer(channel, data)
-        if port == crtp.LOG:
-            return self._log_port.answer(channel, data, now_ns)
-        if port == crtp.LINK:
-            return self._link(channel, data)
-        if port == crtp.MEMORY:
-            return bytes((1, 0)) if (channel, data[:1]) == (0, b"\x01") else None  # how many: none
-        if port == crtp.LOCALISATION:
-            self._localise(channel, data)
-        elif port == crtp.SUPERVISOR:
-            return self._supervise(channel, data)
-        elif port == crtp.PLATFORM:
-            return self._platform(channel, data)
-        elif self.ignore_commands:
-            return None
-        elif port == crtp.GENERIC:
-            self.commander.generic(channel, data, now_ns, senses.yaw_enu_rad)
-        elif port == crtp.COMMANDER:
-            self.commander.thrust(data, now_ns)
-        elif port == crtp.HIGH_LEVEL and data:
-            error = self.commander.high_level(data, now_ns, senses.pos_enu_m, senses.yaw_enu_rad)
-            return data[:3].ljust(3, b"\0") + bytes((error,))
-        return None
-
-    def _link(self, channel: int, data: bytes) -> bytes | None:
-        if channel == _ECHO:
-            return data
-        return b"Bitcraze Crazyflie" if channel == _SOURCE else None
-
-    def _localise(self, channel: int, data: bytes) -> None:
-        if (channel, data[:1]) == (1, bytes((_OLD_EMERGENCY_STOP,))):
-            self.supervisor.emergency_stop(self.body.now_ns)
-        elif (channel, data[:1]) == (1, bytes((_OLD_WATCHDOG,))):
-            self.supervisor.feed_watchdog(self.body.now_ns)
-        else:
-            self.poses.read(channel, data)
-
-    def _supervise(self, channel: int, data: bytes) -> bytes | None:
-        now_ns = self.body.now_ns
-        if channel == 0 and data[:1] == bytes((_GET_STATE,)):
-            return bytes((_GET_STATE | _ANSWER,)) + self.supervisor.bits().to_bytes(2, "little")
-        if channel != 1 or not data or self.ignore_commands:
-            return None
-        if data[0] == _ARM and len(data) > 1:
-            done = self._ask_arm(bool(data[1]))
-            return bytes((_ARM | _ANSWER, done, self.supervisor.armed))
-        if data[0] == _RECOVER:
-            done = self.supervisor.ask_recovery(now_ns)
-            return bytes((_RECOVER | _ANSWER, done, not self.supervisor.tumbled))
-        if data[0] == _EMERGENCY_STOP:
-            self.supervisor.emergency_stop(now_ns)
-        elif data[0] == _WATCHDOG:
-            self.supervisor.feed_watchdog(now_ns)
-        return None
-
-    def _platform(self, channel: int, data: bytes) -> bytes | None:
-        if channel == _VERSION_CHANNEL and data[:1] == bytes((_GET_PROTOCOL,)):
-            return bytes((_GET_PROTOCOL, _PROTOCOL_VERSION))
-        if channel == _VERSION_CHANNEL and data[:1] == bytes((_GET_FIRMWARE,)):
-            return bytes((_GET_FIRMWARE,)) + b"gs sitl\0"
-        if channel != 0 or len(data) < 1 or self.ignore_commands:
-            return None
-        if data[0] == _PLATFORM_ARM and len(data) > 1:
-            return bytes((_PLATFORM_ARM, self._ask_arm(bool(data[1])), self.supervisor.armed))
-        if data[0] == _PLATFORM_RECOVER:
-            return bytes((_PLATFORM_RECOVER, self.supervisor.ask_recovery(self.body.now_ns)))
-        return None
-
-    def _ask_arm(self, arm: bool) -> bool:
-        if arm and self.deny_arming:
-            return False
-        return self.supervisor.ask_arm(arm, self.body.now_ns)
+            self.body.link.emit(write(packet.port, packet.channel, answer))
 
     # -- time ---------------------------------------------------------------------------------------------------
-
-    @property
-    def pos_variance_m2(self) -> float:
-        """What the estimator thinks of its position's error on each axis."""
-        return self.poses.variance_m2
 
     def tick(self, now_ns: int, dt_s: float) -> None:
         """Runs everything that does not wait for a packet, every 20 ms."""
@@ -157,15 +67,15 @@ class Crazyflie(Autopilot):
         body.motors.power(self.battery.left > 0.0)
         self._detect_landing(now_ns)
         self.update(now_ns)
-        for data in self._log_port.due(now_ns, body.own_time_ns):
-            body.link.emit(crtp.write(crtp.LOG, 2, data))
+        for data in self._desk.logs.due(now_ns, body.own_time_ns):
+            body.link.emit(write(LOG, 2, data))
 
     def update(self, now_ns: int) -> None:
         """Lets the commander and the supervisor act."""
         supervisor, commander = self.supervisor, self.commander
         commander.update(now_ns)
         supervisor.high_level = commander.high.bits(now_ns)
-        supervisor.step(self._situation(now_ns), now_ns)
+        supervisor.step(_situation(self, now_ns), now_ns)
         if supervisor.armed != self.armed:
             if supervisor.armed:
                 self.arm()
@@ -179,32 +89,9 @@ class Crazyflie(Autopilot):
         if self.landed and self.wants_up():
             self.body.motors.flying = True
         if supervisor.stage is Stage.LEVEL_OUT:
-            self._level_out(point)
+            _level_out(self, point)
         else:
             self.body.motors.command(point.pos_enu_m, point.vel_enu_m_s, point.yaw_enu_rad, point.yaw_rate_rad_s)
-
-    def _situation(self, now_ns: int) -> Situation:
-        senses, params = self.body.senses, self.params
-        return Situation(
-            ready=self.age_ns >= self.boot.ready_ns,
-            auto_arm=params["system.autoArm"] > 0.0 and not self.deny_arming,
-            thrust=self.body.motors.flying and self.commander.setpoint is not None,
-            setpoint_age_ns=now_ns - self.commander.heard_ns,
-            on_ground=senses.on_ground,
-            up=senses.up_enu[2],
-            wrecked=senses.wrecked,
-            checks_tumbling=params["supervisor.tmblChckEn"] > 0.0,
-            landed_timeout_ns=int(params["supervisor.landedTimeout"]) * _MS,
-            preflight_timeout_ns=int(params["supervisor.prefltTimeout"]) * _MS,
-        )
-
-    def _level_out(self, point: Setpoint) -> None:
-        """No tilt, heading kept: it goes on as it went, slowed by the air; the height as it was asked for last."""
-        frame, loops = self.body.profile.frame, self.body.profile.loops
-        share = 1.0 - 2.0 * frame.drag_per_s / loops.kp_xy_per_s
-        x, y, _ = self.body.senses.vel_enu_m_s
-        height, climb = point.pos_enu_m[2], point.vel_enu_m_s[2]
-        self.body.motors.command((None, None, height), (share * x, share * y, climb), None, 0.0)
 
     # -- as the rest of the emulator asks -----------------------------------------------------------------------
 
@@ -238,11 +125,11 @@ class Crazyflie(Autopilot):
 
     def try_arm(self, forced: bool) -> int:
         """Arms on request."""
-        return ACCEPTED if self._ask_arm(True) else DENIED
+        return ACCEPTED if self._desk.ask_arm(True) else DENIED
 
     def try_disarm(self, forced: bool) -> int:
         """Disarms on request."""
-        return ACCEPTED if self._ask_arm(False) else DENIED
+        return ACCEPTED if self._desk.ask_arm(False) else DENIED
 
     def wants_up(self) -> bool:
         """Whether what is flown leads off the ground."""
@@ -262,3 +149,28 @@ class Crazyflie(Autopilot):
 
     def mission_ends(self, end: MissionEnd) -> None:
         """It flies no missions of its own."""
+
+
+def _situation(vehicle: Crazyflie, now_ns: int) -> Situation:
+    senses, params = vehicle.body.senses, vehicle.params
+    return Situation(
+        ready=vehicle.age_ns >= vehicle.boot.ready_ns,
+        auto_arm=params["system.autoArm"] > 0.0 and not vehicle.deny_arming,
+        thrust=vehicle.body.motors.flying and vehicle.commander.setpoint is not None,
+        setpoint_age_ns=now_ns - vehicle.commander.heard_ns,
+        on_ground=senses.on_ground,
+        up=senses.up_enu[2],
+        wrecked=senses.wrecked,
+        checks_tumbling=params["supervisor.tmblChckEn"] > 0.0,
+        landed_timeout_ns=int(params["supervisor.landedTimeout"]) * _MS,
+        preflight_timeout_ns=int(params["supervisor.prefltTimeout"]) * _MS,
+    )
+
+
+def _level_out(vehicle: Crazyflie, point: Setpoint) -> None:
+    """No tilt, heading kept: it goes on as it went, slowed by the air; the height as it was asked for last."""
+    frame, loops = vehicle.body.profile.frame, vehicle.body.profile.loops
+    share = 1.0 - 2.0 * frame.drag_per_s / loops.kp_xy_per_s
+    x, y, _ = vehicle.body.senses.vel_enu_m_s
+    height, climb = point.pos_enu_m[2], point.vel_enu_m_s[2]
+    vehicle.body.motors.command((None, None, height), (share * x, share * y, climb), None, 0.0)

@@ -12,6 +12,7 @@ from typing import Protocol
 from sitl.battery import Battery
 from sitl.body import Body
 from sitl.personalities.crazyflie.crtp import packed_quaternion
+from sitl.personalities.crazyflie.poses import Poses
 from sitl.personalities.crazyflie.supervisor import Supervisor
 
 U8, U16, U32, I8, I16, I32, F32, F16 = range(1, 9)
@@ -23,18 +24,15 @@ class Logged(Protocol):
     """A vehicle whose variables can be logged.
 
     Attributes:
-        body, battery, supervisor: its parts.
+        body, battery, supervisor, poses: its parts.
         packets_in: how many packets it has been sent.
     """
 
     body: Body
     battery: Battery
     supervisor: Supervisor
+    poses: Poses
     packets_in: int
-
-    @property
-    def pos_variance_m2(self) -> float:
-        """What the estimator thinks of its position's error on each axis."""
 
 
 Reading = Callable[[Logged], float]
@@ -86,7 +84,7 @@ def _power_state(vehicle: Logged) -> float:
 
 
 VARIABLES: dict[str, tuple[int, Reading]] = {
-    **{f"kalman.varP{'XYZ'[k]}": (F32, lambda vehicle: vehicle.pos_variance_m2) for k in range(3)},
+    **{f"kalman.varP{'XYZ'[k]}": (F32, lambda vehicle: vehicle.poses.variance_m2) for k in range(3)},
     "pm.batteryLevel": (U8, lambda vehicle: vehicle.battery.percent()),
     "pm.state": (I8, _power_state),
     "pm.vbat": (F32, lambda vehicle: vehicle.battery.voltage_v),
