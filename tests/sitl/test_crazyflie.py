@@ -313,6 +313,13 @@ def test_whatever_is_sent_to_it_nothing_breaks(datagrams: list[bytes]) -> None:
     assert all(1 <= len(item) <= 31 for item in room.heard)
 
 
+def test_it_answers_from_its_first_moment_on() -> None:
+    for real_boot, answers in ((False, [b"\xff"]), (True, [])):
+        world = World(WorldConfig(vehicles=fleet(1, autopilot="crazyflie"), real_boot=real_boot), 1)
+        world.receive(0, b"\xff", 0)
+        assert [item.data for item in world.advance(8_000_000)] == answers
+
+
 def test_it_says_that_it_is_there_when_a_scan_asks() -> None:
     room = Room()
     room.world.receive(0, b"\xff", room.world.now_ns)

@@ -37,6 +37,7 @@ class Crazyflie(Autopilot):
         self.poses = Poses(body, config.sysid & 0xFF)
         self.packets_in = 0
         self._desk = Desk(self)
+        body.link.talking = outfit.boot.stream_ns == 0  # a client over UDP asks once: nothing may be lost at the start
 
     # -- packets ------------------------------------------------------------------------------------------------
 
