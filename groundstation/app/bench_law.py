@@ -21,6 +21,7 @@ from groundstation.core.formation import Formation
 from groundstation.core.metrics import formation_error_m
 from groundstation.core.types import FloatArray
 from groundstation.design.store import load_formation
+from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import PROFILES
 from groundstation.mission.plan.reading import plan_from_record
@@ -122,7 +123,7 @@ def plan_for(name: str, profile: str, *, compensated: bool = False) -> MissionPl
         {
             "id": k + 1,
             "link": "udpin://127.0.0.1:14540",
-            "autopilot": "arducopter" if profile == "arducopter" else "px4",
+            "autopilot": profile if profile in AUTOPILOTS else next(iter(AUTOPILOTS)),
             "profile": profile,
             "pad_m": [2.0 * (k % side) - side, 2.0 * (k // side) - side, 0.0],
         }
