@@ -71,6 +71,18 @@ def test_what_is_shown_is_where_they_are_and_what_the_answer_says(
     np.testing.assert_allclose(ghost_m, holding[-1].pos_team_enu_m, atol=0.6)
 
 
+def test_whoever_stands_below_one_that_flies_counts_in_the_smallest_distance(desk: Desk) -> None:
+    """One lands on one that stands: the monitors see it, so the page does."""
+    here = _one(desk)
+    pos_m = np.full_like(here.pos_team_enu_m, np.nan)
+    pos_m[0], pos_m[1] = (0.0, 0.0, 0.3), (0.0, 0.0, 0.0)
+    nobody = np.zeros_like(here.state)
+    flies = nobody.copy()
+    flies[0] = AIRBORNE
+    assert smallest_distance_m(replace(here, pos_team_enu_m=pos_m, state=flies)) == pytest.approx(0.3)
+    assert np.isnan(smallest_distance_m(replace(here, pos_team_enu_m=pos_m, state=nobody)))  # as they were put
+
+
 def _one(desk: Desk) -> Snapshot:
     return Viewers(Path("/nowhere"), desk.session.runner.plan).snapshot(desk.session, desk.now_ns)
 

@@ -13,7 +13,9 @@ import numpy as np
 from groundstation.app.console.snapshot import AIRBORNE, BYTES_MAX, Snapshot, decode
 from groundstation.app.order_socket import prepare_folder
 from groundstation.core.errors import UserError
+from groundstation.core.metrics import min_distance_m, pair_distances_m
 from groundstation.core.types import FloatArray
+from groundstation.mission.flight.keeping import heading_of
 
 _KEPT = 2_400
 _TAKEN_MAX = 32  # of those that wait, at once
@@ -21,21 +23,18 @@ _TAKEN_MAX = 32  # of those that wait, at once
 
 def distances_m(snapshot: Snapshot) -> FloatArray:
     """Distances between all vehicles, shape (n, n), NaN where unknown."""
-    pos_m = snapshot.pos_team_enu_m
-    return np.asarray(np.linalg.norm(pos_m[:, None] - pos_m[None], axis=2))
+    return pair_distances_m(snapshot.pos_team_enu_m)
 
 
 def smallest_distance_m(snapshot: Snapshot) -> float:
-    """Between two in the air; NaN while there are no two."""
-    up = (snapshot.state & AIRBORNE) != 0
-    between_m = distances_m(snapshot)[np.ix_(up, up)]
-    known_m = between_m[np.triu_indices(len(between_m), 1)]
-    return float(np.nanmin(known_m)) if np.isfinite(known_m).any() else np.nan
+    """Between two of whom one at least is in the air, as the monitors count; NaN while there are no two."""
+    least_m = min_distance_m(snapshot.pos_team_enu_m, flying=(snapshot.state & AIRBORNE) != 0)
+    return least_m if np.isfinite(least_m) else np.nan
 
 
 def wished_m(snapshot: Snapshot) -> FloatArray:
     """Distances of the formation under way, by vehicle, shape (n, n)."""
-    return np.asarray(np.linalg.norm(snapshot.goal_enu_m[:, None] - snapshot.goal_enu_m[None], axis=2))
+    return pair_distances_m(snapshot.goal_enu_m)
 
 
 def largest_error_m(snapshot: Snapshot) -> float:
@@ -51,9 +50,7 @@ def ghost_enu_m(snapshot: Snapshot) -> FloatArray | None:
     if not known.any() or np.allclose(goal_m, goal_m[0]):
         return None
     middle_m, goal_middle_m = pos_m[known].mean(axis=0), goal_m[known].mean(axis=0)
-    here, there = pos_m[known] - middle_m, goal_m[known] - goal_middle_m
-    turn = np.vdot(there[:, 0] + 1j * there[:, 1], here[:, 0] + 1j * here[:, 1])
-    angle_rad = float(np.angle(turn))
+    angle_rad = heading_of(pos_m[known], goal_m[known])
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     rot = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray((goal_m - goal_middle_m) @ rot.T + middle_m)
