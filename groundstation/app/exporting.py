@@ -22,8 +22,8 @@ KINDS: dict[str, tuple[str, str | None]] = {
 }
 """What ``--to`` names: the module that writes it, and the extra that it needs."""
 
-_MARK = MADE_BY.encode()
-_LOOKED_AT = 4_096  # bytes at both ends of a file in which its maker is named
+_PARQUET, _PARQUET_END = b"PAR1", 8  # a file ends with its footer, the footer's length (4 bytes), and this
+_MCAP, _MCAP_HEAD = b"\x89MCAP0\r\n", 128
 
 
 def claim_export(to: str, path: Path, *, force: bool) -> bool:
@@ -39,10 +39,16 @@ def claim_export(to: str, path: Path, *, force: bool) -> bool:
         need(extra, f"gs export --to {to}")
 
     def ours() -> bool:
-        content = path.read_bytes()
-        return _MARK in content[:_LOOKED_AT] or _MARK in content[-_LOOKED_AT * 16 :]
+        return MADE_BY.encode() in _where_named(path.read_bytes())
 
     return claim(path, "the export", "another file with -o", ours=ours, force=force)
+
+
+def _where_named(content: bytes) -> bytes:
+    """Where a file names its maker: in a Parquet file's footer, an MCAP file's head, a CSV file's first line."""
+    if content.endswith(_PARQUET):
+        return content[-_PARQUET_END - int.from_bytes(content[-_PARQUET_END:-4], "little") :]
+    return content[:_MCAP_HEAD] if content.startswith(_MCAP) else content.partition(b"\n")[0]
 
 
 def export(flight: Flight, to: str, path: Path, rate_hz: float) -> dict[str, object]:

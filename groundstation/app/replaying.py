@@ -13,12 +13,34 @@ from rich.text import Text
 
 from groundstation.app.loop import wall_clock_pace
 from groundstation.app.output import Output
-from groundstation.core.errors import UserError
+from groundstation.core.errors import CheckFailed, UserError
 from groundstation.mavlink.codec import Frame
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import Received, Record
+from groundstation.records.replay import Flight, load_flight
 from groundstation.records.resend import Passing
 from groundstation.records.tlog import read_tlog
+
+
+def useful_flight(out: Output, log: Path, what: str) -> Flight:
+    """Reads a log, and prints what people have to know of its figures.
+
+    Args:
+        out: where that goes.
+        log: the file.
+        what: is not done when nothing of use is in it, for the message: "no report was written".
+
+    Raises:
+        UserError: the log or its manifest cannot be used.
+        CheckFailed: nothing of use is in it.
+    """
+    flight = load_flight(log)
+    for line in (flight.message, *flight.notes, *flight.contents):
+        if line is not None:
+            out.console.print(Text(line))
+    if not flight.useful:
+        raise CheckFailed(f"{nothing_in(log)}; {what}")
+    return flight
 
 
 def nothing_in(log: Path) -> str:

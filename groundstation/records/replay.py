@@ -11,7 +11,7 @@ import contextlib
 import itertools
 import re
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -184,20 +184,29 @@ class Flight:
         positions = self.positions_at(t_ns)
         return np.asarray(np.linalg.norm(positions[:, first] - positions[:, second], axis=-1), dtype=np.float64)
 
-    def min_distance_m(self) -> float | None:
-        """Smallest distance between reported positions; None when it is not known.
+    def nearest(self) -> Iterator[tuple[IntArray, FloatArray, IntArray]]:
+        """The two that are nearest at every instant at which any vehicle reported, in blocks of instants.
 
-        Looked for at every instant at which any vehicle reported; the others' positions are interpolated to it.
+        The others' positions are interpolated to it. Nothing comes where distances are not known.
+
+        Yields:
+            Instants, distances (infinite where no pair is known), and the pairs' columns, as in ``distances_at``, each
+            of shape (t,).
         """
         if not self.distances_known:
-            return None
+            return
         instants = self.instants_ns()
         step = max(1, _BLOCK // max(1, len(self.vehicles) ** 2))
-        smallest = np.inf
         for start in range(0, len(instants), step):
-            distances = self.distances_at(instants[start : start + step])
-            if not np.all(np.isnan(distances)):
-                smallest = min(smallest, float(np.nanmin(distances)))
+            block = instants[start : start + step]
+            distances = self.distances_at(block)
+            distances[np.isnan(distances)] = np.inf
+            pair = distances.argmin(axis=1)
+            yield block, distances[np.arange(len(block)), pair], pair
+
+    def min_distance_m(self) -> float | None:
+        """Smallest distance between reported positions, see ``nearest``; None when it is not known."""
+        smallest = min((float(distances.min()) for _, distances, _ in self.nearest()), default=np.inf)
         return smallest if np.isfinite(smallest) else None
 
     def roles_at(self, t_ns: int) -> tuple[int | None, ...] | None:

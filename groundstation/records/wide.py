@@ -19,7 +19,6 @@ PAIRS_MOST = 32
 """Of so many vehicles at most every pair has a column; of larger teams the nearest pair alone is told."""
 
 _ROWS_MOST = 5_000_000
-_BLOCK = 1 << 18  # pairs of vehicles times instants that are held in memory at once
 _NS = 1_000_000_000
 
 _UNITS = {"m_s": "m/s", "s": "s", "m": "m", "deg": "degrees"}  # what the end of a name stands for, the longest first
@@ -49,7 +48,7 @@ def instants(flight: Flight, rate_hz: float) -> IntArray:
     if rate_hz == 0.0:
         return flight.instants_ns()
     rows = flight.duration_s * rate_hz + 1
-    if rows > _ROWS_MOST:
+    if not rows <= _ROWS_MOST:  # so that a rate that is no number is refused too
         raise UserError(
             f"--rate {rate_hz:g}: {rows:.0f} rows for {flight.duration_s:.0f} s, limit {_ROWS_MOST}; give a lower rate"
         )
@@ -137,16 +136,10 @@ def _distances(flight: Flight, t_ns: IntArray) -> dict[str, Cells]:
             columns[f"distance_{ids[a]}_{ids[b]}_m"] = distances[:, pair]
     least: FloatArray = np.full(len(t_ns), np.nan)
     nearest: list[str] = [""] * len(t_ns)
-    at = flight.instants_ns()  # as the report looks: between reports, straight lines come nearer than vehicles did
-    step = max(1, _BLOCK // max(1, len(ids) ** 2)) if flight.distances_known else max(1, len(at))
-    for start in range(0, len(at) if len(first) and flight.distances_known else 0, step):
-        block = at[start : start + step]
-        distances = np.where(np.isnan(found := flight.distances_at(block)), np.inf, found)
-        pair = distances.argmin(axis=1)
-        smallest = distances[np.arange(len(block)), pair]
+    for at_ns, smallest, of_two in flight.nearest():  # between reports, straight lines come nearer than vehicles did
         for instant in np.flatnonzero(np.isfinite(smallest)).tolist():
-            row = min(int(np.searchsorted(t_ns, block[instant])), len(t_ns) - 1)
+            row = min(int(np.searchsorted(t_ns, at_ns[instant])), len(t_ns) - 1)
             if not smallest[instant] >= least[row]:
                 least[row] = smallest[instant]
-                nearest[row] = f"{ids[first[pair[instant]]]}-{ids[second[pair[instant]]]}"
+                nearest[row] = f"{ids[first[of_two[instant]]]}-{ids[second[of_two[instant]]]}"
     return columns | {"min_distance_m": least, "min_distance_pair": nearest}

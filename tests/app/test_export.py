@@ -169,6 +169,8 @@ def test_what_cannot_be_exported_is_told(log: Path, tmp_path: Path, monkeypatch:
     assert (code, "parquet" in err, "Traceback" in err) == (2, True, False)
     code, _, err = gs(["export", str(log), "--to", "csv", "-o", str(tmp_path / "no" / "x")], monkeypatch, capsys)
     assert (code, "name another file with -o" in err) == (2, True)
+    with pytest.raises(UserError, match=r"--rate nan: nan rows for 12 s, limit 5000000; give a lower rate"):
+        wide(load_flight(log), float("nan"))
     with pytest.raises(UserError, match=r"--rate 1e\+09: 12000000001 rows for 12 s, limit 5000000; give a lower rate"):
         wide(load_flight(log), 1e9)
 
@@ -185,6 +187,23 @@ def test_only_an_export_is_replaced(log: Path, to: str, tmp_path: Path, monkeypa
     assert (code, "replace it with --force" in " ".join(err.split())) == (2, True)
     _export([*words, "--force"], monkeypatch, capsys)
     assert (tmp_path / "f").read_bytes() == first
+
+
+@pytest.mark.parametrize("to", ["csv", "parquet", "mcap"])
+def test_an_export_of_a_large_team_knows_its_own_file(
+    to: str, tmp_path: Path, monkeypatch: Patch, capsys: Captured
+) -> None:
+    """Thirty vehicles have 435 distances: the heads of columns alone are 20 kB."""
+    log = tmp_path / "thirty.tlog"
+    with TlogWriter(log, DRY_RUN_EPOCH_UNIX_US) as writer:
+        for sysid in range(1, 31):
+            placed = Encoder(sysid).encode("GLOBAL_POSITION_INT", lat=470_000_000, lon=80_000_000 + 200 * sysid, alt=1)
+            writer.received(0, "p", placed, 1_000_000 * sysid)
+    words = [str(log), "--to", to, "-o", str(tmp_path / "f")]
+    first = _export(words, monkeypatch, capsys)
+    if to != "mcap":
+        assert first["columns"] > 435
+    assert _export(words, monkeypatch, capsys) == first
 
 
 def test_every_column_and_topic_is_in_the_documentation(flight: Flight) -> None:

@@ -12,7 +12,7 @@ from groundstation.app.completing import choice, logs
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
-from groundstation.core.errors import CheckFailed, UserError
+from groundstation.core.errors import UserError
 
 _KINDS = "parquet", "csv", "mcap"
 
@@ -30,21 +30,15 @@ def export(
 ) -> None:
     """Writes positions, attitudes, setpoints, distances, phases and events of a flight for other programs."""
     from groundstation.app.exporting import claim_export, export
-    from groundstation.app.replaying import nothing_in
+    from groundstation.app.replaying import useful_flight
     from groundstation.app.resources import find_log
-    from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
     if to not in _KINDS:
         raise UserError(f"--to {to}: {unknown(to, _KINDS)}")
     replaced = claim_export(to, output, force=force)
     log = find_log(log)
-    flight = load_flight(log)
-    for line in (flight.message, *flight.notes, *flight.contents):
-        if line is not None:
-            out.console.print(Text(line))
-    if not flight.useful:
-        raise CheckFailed(f"{nothing_in(log)}; nothing was exported")
+    flight = useful_flight(out, log, "nothing was exported")
     with out.console.status("writing"):
         told = export(flight, to, output, rate)
     words = ", ".join(f"{value} {key}" for key, value in told.items())

@@ -12,7 +12,7 @@ from groundstation.app.completing import choice, logs
 from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.choices import unknown
-from groundstation.core.errors import CheckFailed, UserError
+from groundstation.core.errors import UserError
 
 _KINDS = "svg", "pdf"
 
@@ -38,10 +38,9 @@ def report(
 ) -> None:
     """Draws trajectories, distances, formation error and setpoints of a flight; several are laid over each other."""
     from groundstation.app.comparing import compare_logs, tables, write_comparison
-    from groundstation.app.replaying import nothing_in
+    from groundstation.app.replaying import useful_flight
     from groundstation.app.report import DPI, claim_report, write_report
     from groundstation.app.resources import find_log
-    from groundstation.records.replay import load_flight
 
     out = Output(as_json=as_json)
     kinds = list(dict.fromkeys(also or ()))
@@ -62,12 +61,7 @@ def report(
         out.result({**comparison.values(), "files": [str(file) for file in files]})
         return
     log = logs[0]
-    flight = load_flight(log)
-    for line in (flight.message, *flight.notes, *flight.contents):
-        if line is not None:
-            out.console.print(Text(line))
-    if not flight.useful:
-        raise CheckFailed(f"{nothing_in(log)}; no report was written")
+    flight = useful_flight(out, log, "no report was written")
     replaced = claim_report(output, force=force, also=kinds)
     with out.console.status("drawing"):
         files = write_report(flight, output, also=kinds, dpi=dpi)
