@@ -208,9 +208,12 @@ def test_the_margin_is_of_as_many_deviations_as_the_docs_say() -> None:
 
 def test_what_the_argument_assumes_is_told_for_every_mission_that_comes_along() -> None:
     rows = _rows("| mission | `delay_product`")
-    assert [row[0] for row in rows] == sorted(path.stem for path in CUBE8.parent.glob("*.yaml"))
+    plans = {path.stem: load_mission(path) for path in sorted(CUBE8.parent.glob("*.yaml"))}
+    damped = {name: plan for name, plan in plans.items() if plan.spec.avoidance.method != "rotation"}
+    assert set(plans) - set(damped) == {"paper_cube8"}  # the paper's pure law: the argument is not about it
+    assert [row[0] for row in rows] == list(damped)
     for name, product, speeds, late in rows:
-        plan = load_mission(CUBE8.parent / f"{name}.yaml")
+        plan = damped[name]
         v, a, profile = plan.spec.speed_limit_m_s, plan.acceleration_limit_m_s2, plan.profile
         params = DamperParams(
             1.0, 0.0, profile.lag_s, profile.delay_s, 1.0 / plan.spec.rate_hz, speed_limit_m_s=v, accel_limit_m_s2=a

@@ -187,7 +187,8 @@ def decode(data: bytes) -> Snapshot:
         count, kind = math.prod(shapes[name]), np.dtype(_kind(name))
         if at + count * kind.itemsize > len(data):
             raise ValueError(f"snapshot: ends within {name}")
-        arrays[name] = np.frombuffer(data, kind, count, at).reshape(shapes[name]).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # bytes bent out of shape may be a signalling NaN
+            arrays[name] = np.frombuffer(data, kind, count, at).reshape(shapes[name]).astype(np.float64)
         at += count * kind.itemsize
     whole: dict[str, IntArray] = {name: arrays.pop(name).astype(np.int64) for name in sorted(_WHOLE)}
     edges = whole["edges"]
