@@ -39,7 +39,7 @@ def test_places_on_the_map_exist(page: str) -> None:
 _QUOTED = (
     ("`vel_ned_m_s = apply_limits(...)`", "flight/guidance.py", "        vel_ned_m_s = apply_limits("),
     ("`REFUSED`", "phases/table.py", "\nREFUSED: "),
-    ("`blind`", "monitors/board.py", "        self.blind: "),
+    ("`blind`", "monitors/losses.py", "        self.blind: "),
     ("`_monitors`", "monitors/board.py", "        self._monitors: "),
     ("its tag in `Step`", "plan/schema.py", "\nStep = Annotated["),
 )

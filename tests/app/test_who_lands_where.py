@@ -144,3 +144,23 @@ def test_a_motor_that_fails_while_landing_is_told_and_the_mission_not_completed(
     flight, truth = _fly(pair("steps.1.hold.seconds=1"), strike=strike)
     assert truth.hit_m_s > 1.5
     assert f"vehicle {vehicle}: is tilted by " in flight.runner.reason
+
+
+@pytest.mark.parametrize("direction", ["both", "down"])
+def test_who_is_heard_again_after_an_outage_of_all_is_led_to_a_free_place(direction: str) -> None:
+    """While a cube holds, nothing is heard of anybody for 3 s: the lower four land, nobody comes down on them."""
+    struck: list[int] = []
+    hold = after(Phase.HOLD, 2.0)
+
+    def strike(flight: Flight) -> None:
+        if not struck and hold(flight):
+            struck.append(flight.now_ns)
+            flight.world.inject(Fault("blackout", for_s=3.0, direction=direction))
+
+    flight, truth = _fly(cube8(), strike=strike)
+    assert truth.apart_m.min() >= flight.plan.spec.avoidance.radius_m
+    assert truth.hit_m_s < 1.0
+    words = [note.text for note in flight.notes if note.kind == "alarm"]
+    assert any("cannot be led elsewhere" in text for text in words)
+    assert sum("its position is told again" in text for text in words) == 8
+    assert not any("comes down all the same" in text for text in words)

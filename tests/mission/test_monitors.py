@@ -342,6 +342,76 @@ def test_a_link_that_is_silent_altogether_is_told_once_and_all_on_it_land() -> N
     assert not any("no position for" in text for text in scene.alarms)
 
 
+def _silent(scene: Scene, seconds: float, rows: slice | int) -> None:
+    """Nothing is heard of these for a while; then it is again."""
+
+    def ages() -> None:
+        scene.age_ns[rows] += TICK_NS
+
+    scene.silent_since_ns[rows] = scene.now_ns
+    scene.run(seconds, ages)
+    scene.silent_since_ns[rows], scene.age_ns[rows] = NEVER, 0
+
+
+def test_who_is_heard_again_is_found_again_after_two_seconds_and_can_be_lost_again() -> None:
+    scene = Scene()
+    scene.run(0.1)
+    for times in (1, 2):
+        _silent(scene, 3.0, slice(None))
+        assert scene.monitor.blind.all()
+        scene.run(1.9)
+        assert scene.monitor.blind.all()
+        scene.run(0.2)
+        assert not scene.monitor.blind.any()
+        assert sum("vehicle 3: its position is told again, 0.0 m" in text for text in scene.alarms) == times
+        assert sum("nothing heard of anybody for 0.8 s" in text for text in scene.alarms) == times
+    assert not scene.obstacle_m().any()
+    assert scene.roster.lands_here.all()  # it goes on landing, on a place that is free
+
+
+@pytest.mark.parametrize(("gone_m", "found"), [(3.0, True), (4.5, False)])
+def test_who_is_heard_again_from_farther_than_it_could_have_flown_stays_lost(gone_m: float, found: bool) -> None:
+    scene = Scene("limits.pose_jump_m=1.0")  # 0.5 m/s for 5 s, and that
+    scene.run(0.1)
+    _silent(scene, 5.0, 2)
+    scene.pos[2] += [gone_m, 0.0, 0.0]
+    scene.run(2.2)
+    assert scene.monitor.blind[2] == (not found)
+
+
+def test_who_is_heard_again_with_gaps_or_without_heartbeats_stays_lost() -> None:
+    gaps = Scene()
+    gaps.run(0.1)
+    _silent(gaps, 3.0, 4)
+    for _ in range(4):
+        gaps.run(1.5)
+        _silent(gaps, 0.6, 4)
+    assert gaps.monitor.blind[4]
+    mute = Scene()
+    mute.run(0.1)
+    _silent(mute, 6.0, 4)
+    mute.silent_since_ns[4] = mute.now_ns - 20 * SECOND_NS  # positions come, heartbeats do not
+    mute.run(4.0)
+    assert mute.monitor.blind[4]
+
+
+def test_a_position_that_contradicted_itself_stays_lost_however_it_is_told() -> None:
+    scene = Scene()
+    scene.run(0.1)
+    scene.pos[2] += [2.0, 0.0, 0.0]  # a jump
+    scene.drift[5] = 9.0  # local and global positions part
+    scene.run(1.0)
+    _silent(scene, 3.0, slice(None))
+    scene.run(4.0)
+    assert np.flatnonzero(scene.monitor.blind).tolist() == [2, 5]
+    again = Scene()
+    again.run(0.1)
+    _silent(again, 3.0, 6)
+    again.fleet.restarts[6] += 1  # its frame is another one: the later reason counts
+    again.run(4.0)
+    assert again.monitor.blind[6]
+
+
 def test_one_silent_vehicle_is_no_silent_link() -> None:
     scene = Scene()
     scene.run(0.1)

@@ -29,7 +29,7 @@ from groundstation.app.verify import verify_log
 from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.core.metrics import min_clearance
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from groundstation.mission.timing import SECOND_NS
@@ -47,6 +47,8 @@ _SETTLE_STEP_NS = SECOND_NS // 2
 _GROUND = frozenset({Phase.CONNECT, Phase.ARM})
 _ON_PADS = frozenset({Phase.CONNECT, Phase.ARM, Phase.TAKEOFF, Phase.LAND, Phase.SILENT, Phase.DONE})
 _WORDS_MAX = 2_000
+_HEARS_AGAIN_NS = 5 * SECOND_NS  # after the end of a blackout; by then the ground station has found it again
+_FOR_GOOD_NS = np.iinfo(np.int64).max
 _OWN_FAULT = "fault in the ground station"
 DISOBEDIENT = frozenset(
     {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift", "motor_failure", "reboot"}
@@ -143,11 +145,10 @@ class _Flown:
         self._struck_ns: int | None = None
         self._waiting = bool(faults.what)
         self._unsteered: BoolArray = np.zeros(self._plan.size, dtype=np.bool_)
+        self._deaf_until_ns: IntArray = np.zeros(self._plan.size, dtype=np.int64)  # those that cannot be steered
         self._struck: list[str] = []  # kinds
         self._planned = [fault.kind for fault in (*faults.scheduled(), *faults.faults())]
-        self._begun = sorted(
-            (round(fault.at_s * SECOND_NS), fault.vehicles, fault.kind) for fault in faults.scheduled()
-        )
+        self._begun = sorted(faults.scheduled(), key=lambda fault: fault.at_s)
         self._min_m = self._min_obedient_m = self._min_clearance = math.inf
         self._upright = not self._plan.region.by_distance
         self._pair_m = np.full((self._plan.size, self._plan.size), math.inf)
@@ -202,10 +203,10 @@ class _Flown:
         self._plot.step(session, now_ns)
         if self._waiting:
             self._strike(runner.phase, now_ns)
-        while self._begun and self._begun[0][0] <= now_ns:
-            _, sysids, kind = self._begun.pop(0)
-            self._spoil(kind, self._rows(sysids))
+        while self._begun and self._begun[0].at_s * SECOND_NS <= now_ns:
+            self._spoil(self._begun.pop(0), now_ns)
         self._take_empty()
+        self._take_back(now_ns)
         if now_ns >= self._case.setting.limit_s * SECOND_NS:
             raise _TooLongError
 
@@ -228,17 +229,20 @@ class _Flown:
 
     def _inject(self, fault: Fault) -> None:
         """Lets a fault strike now."""
-        self._spoil(fault.kind, self._rows(fault.vehicles))
+        self._spoil(fault, self._world.now_ns)
         self._struck.append(fault.kind)
         self._world.inject(fault)
 
     def _rows(self, sysids: Sequence[int]) -> list[int]:
         return [row for row, vehicle in enumerate(self._plan.spec.vehicles) if not sysids or vehicle.id in sysids]
 
-    def _spoil(self, kind: str, vehicles: Sequence[int]) -> None:
+    def _spoil(self, fault: Fault, now_ns: int) -> None:
+        vehicles = self._rows(fault.vehicles)
         self._witness.upset(vehicles)
-        if kind in DISOBEDIENT:
-            self._give_up_on(vehicles)
+        if fault.kind not in DISOBEDIENT:
+            return
+        passes = fault.kind == "blackout" and fault.for_s is not None
+        self._give_up_on(vehicles, now_ns + round((fault.for_s or 0.0) * SECOND_NS) if passes else _FOR_GOOD_NS)
 
     def _take_empty(self) -> None:
         """Whose battery is empty has no power for its motors, as after a motor failure: nobody can steer it."""
@@ -246,11 +250,25 @@ class _Flown:
         if empty and not self._unsteered[empty].all():
             self._give_up_on(empty)
 
-    def _give_up_on(self, vehicles: Sequence[int]) -> None:
-        """From now on these are not counted among those that have to keep their distance."""
+    def _take_back(self, now_ns: int) -> None:
+        """Whoever hears and is heard again for a while, and stands or does as it is told, keeps its distance again."""
+        back = self._unsteered & (now_ns - self._deaf_until_ns >= _HEARS_AGAIN_NS)
+        if not back.any():
+            return
+        motion, pilots = self._world.dynamics.motion, self._world.autopilots
+        acts_alone = np.array([pilot.acts_alone() for pilot in pilots])
+        back &= ~motion.crashed & (motion.on_ground | ~acts_alone)
+        if back.any():
+            self._take_distances()
+            self._unsteered &= ~back
+
+    def _give_up_on(self, vehicles: Sequence[int], until_ns: int = _FOR_GOOD_NS) -> None:
+        """From now on these are not counted among those that have to keep their distance; until they hear again."""
         self._take_distances()
         self._witness.upset(vehicles)
-        self._unsteered[list(vehicles)] = True
+        rows = list(vehicles)
+        self._unsteered[rows] = True
+        self._deaf_until_ns[rows] = np.maximum(self._deaf_until_ns[rows], until_ns)
 
     def _pairs_so_far(self) -> FloatArray:
         """Smallest distance of each pair up to now."""

@@ -20,6 +20,7 @@ from groundstation.mission.monitors.contradictions import Contradictions
 from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
+from groundstation.mission.monitors.losses import Losses
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
 from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.monitors.sinking import Sinking
@@ -49,14 +50,12 @@ class Board:
     """Watches the vehicles in the air.
 
     Attributes:
-        blind: vehicles whose position was lost for good: nobody knows where they are now, shape (n,).
         wind: what is known of the wind.
         speeds: what is known of the errors of velocities.
         resting: who says to move while it stands.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
-        n = plan.size
         self._plan = plan
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self.speeds, self.resting = PoorSpeeds(plan), Resting(plan)
@@ -69,8 +68,12 @@ class Board:
             Distance(plan), Descents(plan, self.wind, self.speeds), self._touchdowns, self._modes,
             Sinking(plan, self._modes), LateTicks(plan), self._contradictions,
         )  # fmt: skip
-        self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._lost_ns: IntArray = np.zeros(n, dtype=np.int64)
+        self._losses = Losses(plan)
+
+    @property
+    def blind(self) -> BoolArray:
+        """Vehicles whose position is lost: nobody knows where they are now, shape (n,)."""
+        return self._losses.blind
 
     @property
     def hold(self) -> BoolArray:
@@ -136,6 +139,9 @@ class Board:
         findings = Findings()
         found: list[tuple[Finding, Reaction]] = []
         ours, lands = sight.ours.copy(), sight.lands_here.copy()
+        if not only_the_ground:
+            suspect = self._jumps.suspect | self._jumps.drifting | self.resting.moves
+            found += [(finding, finding.reaction) for finding in self._losses.find(sight, suspect)]
         for monitor in (self._touchdowns,) if only_the_ground else self._monitors:
             # Here, and nowhere else, it is settled that nobody is judged who is not ours, whatever a monitor finds.
             judged = [finding.of(ours) for finding in monitor.look(sight, ours.copy())]
@@ -163,7 +169,7 @@ class Board:
         up, landing = fleet.armed, roster.told_to_land
         unsteered = self.blind | ~roster.ours | (self.foreign & ~landing)
         spec = self._plan.spec
-        seen_ns = np.where(self.blind, np.minimum(pose_ns, self._lost_ns), pose_ns)
+        seen_ns = np.where(self.blind, np.minimum(pose_ns, self._losses.since_ns), pose_ns)
         growing_m = bounded_growth_m(
             _FIRST_SHARE * spec.avoidance.radius_m,
             spec.speed_limit_m_s,
@@ -179,8 +185,7 @@ class Board:
         rows, reaction = list(finding.vehicles), finding.reaction
         known = bool(rows) and bool(self.blind[rows].all())
         if finding.lost:
-            self._lost_ns[rows] = np.where(self.blind[rows], self._lost_ns[rows], sight.now_ns)
-            self.blind[rows] = True
+            self._losses.lose(rows, sight, unheard=finding.unheard)
         if known and (finding.lost or reaction is Reaction.HOME):
             reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
         findings.concern(rows, reaction)

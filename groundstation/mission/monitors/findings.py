@@ -45,6 +45,7 @@ class Finding:
         what: in words, without the names of ``vehicles``.
         vehicles: whom it judges; empty for the ground station or a link.
         lost: nobody knows any more where the vehicle is.
+        unheard: lost since nothing is heard of it, and for no other reason: once it is heard again it counts again.
         urgent: does not wait for the end of an operator's hold.
         pair: judges two vehicles by what is between them; they are named together.
         fate: judges nobody: it says what has become of a vehicle, whoever has it, and asks for nothing (``SAY``).
@@ -54,6 +55,7 @@ class Finding:
     what: str
     vehicles: tuple[int, ...] = ()
     lost: bool = False
+    unheard: bool = False
     urgent: bool = False
     pair: bool = False
     fate: bool = False

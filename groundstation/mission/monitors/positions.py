@@ -170,7 +170,7 @@ class LinkSilence:
         self._links = plan.links
         self._link_of_vehicle: IntArray = np.array(plan.link_of_vehicle)
         self._limit_s = _LINK_SHARE * plan.spec.limits.pose_lost_s
-        self._lasting = Lasting(len(plan.links))
+        self._lasting = Lasting(len(plan.links), again=True)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of a link that has several vehicles, all of them silent."""
@@ -182,7 +182,7 @@ class LinkSilence:
         for link in self._lasting(down, sight.now_ns):
             rows = tuple(((self._link_of_vehicle == link) & ours & ~sight.excused).nonzero()[0].tolist())
             what = f"link {self._links[link]}: nothing heard of anybody for {self._limit_s:g} s"
-            yield Finding(Reaction.LAND, what, rows, lost=True)
+            yield Finding(Reaction.LAND, what, rows, lost=True, unheard=True)
 
 
 class PoseAge:
@@ -192,7 +192,7 @@ class PoseAge:
         self._limits = plan.spec.limits
         self.hold: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._old = Lasting(plan.size, again=True)
-        self._lost = Lasting(plan.size)
+        self._lost = Lasting(plan.size, again=True)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Holds those that are too old, lands those that are lost."""
@@ -203,7 +203,8 @@ class PoseAge:
             yield Finding(Reaction.HOLD, what, (vehicle,))
         lost = (age_ns > self._limits.pose_lost_s * SECOND_NS) & ours & ~sight.excused & ~sight.blind
         for vehicle in self._lost(lost, sight.now_ns):
-            yield Finding(Reaction.LAND, f"no position for {self._limits.pose_lost_s:g} s", (vehicle,), lost=True)
+            what = f"no position for {self._limits.pose_lost_s:g} s"
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True, unheard=True)
 
 
 class Frozen:
