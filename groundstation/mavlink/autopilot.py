@@ -147,3 +147,7 @@ class Autopilot(ABC):
     @abstractmethod
     def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
         """Whether its mode says that setpoints are arriving at this very time."""
+
+    def waits_for_setpoints(self, custom_mode: int, system_status: int) -> bool:
+        """Whether its own failsafe holds it in place and follows again by itself once setpoints arrive."""
+        return False

@@ -55,6 +55,7 @@ def _fly(
     says: tuple[Callable[[Flight], bool], str] | None = None,
     faults: tuple[Fault, ...] = (),
     strike: Callable[[Flight], None] | None = None,
+    outcome: str = "aborted",
 ) -> tuple[Flight, Truth]:
     truth, said = Truth(), list[int]()
 
@@ -74,7 +75,7 @@ def _fly(
         prepare=truth.watch,
     )
     assert not flight.world.truth.airborne.any()
-    assert flight.runner.outcome == "aborted"
+    assert flight.runner.outcome == outcome
     return flight, truth
 
 
@@ -146,9 +147,8 @@ def test_a_motor_that_fails_while_landing_is_told_and_the_mission_not_completed(
     assert f"vehicle {vehicle}: is tilted by " in flight.runner.reason
 
 
-@pytest.mark.parametrize("direction", ["both", "down"])
-def test_who_is_heard_again_after_an_outage_of_all_is_led_to_a_free_place(direction: str) -> None:
-    """While a cube holds, nothing is heard of anybody for 3 s: the lower four land, nobody comes down on them."""
+def _outage(direction: str) -> Callable[[Flight], None]:
+    """Nothing is heard for 3 s by anybody while the team holds."""
     struck: list[int] = []
     hold = after(Phase.HOLD, 2.0)
 
@@ -157,7 +157,22 @@ def test_who_is_heard_again_after_an_outage_of_all_is_led_to_a_free_place(direct
             struck.append(flight.now_ns)
             flight.world.inject(Fault("blackout", for_s=3.0, direction=direction))
 
-    flight, truth = _fly(cube8(), strike=strike)
+    return strike
+
+
+def test_a_team_that_did_not_hear_us_for_a_while_goes_on_when_it_does() -> None:
+    """PX4's own failsafe holds it meanwhile, and follows again by itself."""
+    flight, truth = _fly(cube8(), strike=_outage("up"), outcome="completed")
+    assert truth.apart_m.min() >= flight.plan.spec.avoidance.radius_m
+    words = [note.text for note in flight.notes if note.kind == "alarm"]
+    assert len(words) == 8
+    assert all("its own failsafe holds it in mode AUTO.LOITER; it is waited for, 10 s" in text for text in words)
+
+
+@pytest.mark.parametrize("direction", ["both", "down"])
+def test_who_is_heard_again_after_an_outage_of_all_is_led_to_a_free_place(direction: str) -> None:
+    """While a cube holds, nothing is heard of anybody for 3 s: the lower four land, nobody comes down on them."""
+    flight, truth = _fly(cube8(), strike=_outage(direction))
     assert truth.apart_m.min() >= flight.plan.spec.avoidance.radius_m
     assert truth.hit_m_s < 1.0
     words = [note.text for note in flight.notes if note.kind == "alarm"]

@@ -29,3 +29,22 @@ def test_an_estimator_is_judged_by_what_says_on_that_firmware_that_it_is_usable(
     autopilot: str, flags: int, usable: bool
 ) -> None:
     assert (AUTOPILOTS[autopilot].estimator_trouble(flags) is None) == usable
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "custom_mode", "system_status", "waits"),
+    [
+        # PX4 1.16.1 whose setpoints had stopped: AUTO.LOITER, status 5; OFFBOARD, status 4 when they came back
+        ("px4", 4 << 16 | 3 << 24, 5, True),
+        ("px4", 6 << 16, 4, False),
+        ("px4", 4 << 16 | 3 << 24, 4, False),  # AUTO.LOITER by a pilot's hand
+        ("px4", 3 << 16, 5, False),  # POSCTL: without sticks it sinks
+        ("px4", 4 << 16 | 5 << 24, 5, False),  # AUTO.RTL: nothing brings it back
+        ("px4", 4 << 16 | 6 << 24, 5, False),
+        ("arducopter", 5, 5, False),
+    ],
+)
+def test_who_waits_for_setpoints_is_told_from_who_has_left(
+    autopilot: str, custom_mode: int, system_status: int, waits: bool
+) -> None:
+    assert AUTOPILOTS[autopilot].waits_for_setpoints(custom_mode, system_status) == waits

@@ -26,6 +26,7 @@ from tests.mission.accuser import Accuser
 SECOND_NS = 1_000_000_000
 TICK_NS = 20_000_000
 OFFBOARD, LOITER, LAND = 393216, 50593792, 100925440
+ACTIVE, CRITICAL = 4, 5  # MAV_STATE
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 
 
@@ -470,6 +471,57 @@ def test_a_vehicle_that_leaves_is_released_after_two_heartbeats_and_said_nothing
     scene.age_ns[3], scene.fleet.battery_remaining[3] = 10 * SECOND_NS, 0.01
     scene.pos[3] += 100.0
     assert scene.run(3.0, scene.status) == []
+
+
+def test_whom_its_own_failsafe_holds_is_waited_for_and_follows_again() -> None:
+    scene = Scene()
+    scene.run(0.1)
+    for _ in range(2):
+        scene.fleet.custom_mode[3], scene.fleet.system_status[3] = LOITER, CRITICAL
+        (told,) = scene.run(9.9)
+        words = "vehicle 4: hears no setpoints, its own failsafe holds it in mode AUTO.LOITER; it is waited for, 10 s"
+        assert (told.alarms, told.release, told.abort) == ([words], [], None)
+        assert scene.monitor.foreign[3]
+        assert scene.obstacle_m()[3] > 0.0
+        scene.fleet.custom_mode[3], scene.fleet.system_status[3] = OFFBOARD, ACTIVE
+        assert scene.run(1.0) == []
+        assert not scene.obstacle_m().any()
+
+
+@pytest.mark.parametrize(("status", "released_s"), [(5, 10.0), (4, 2.5 + 1.0)])
+def test_who_never_follows_again_or_is_taken_by_its_pilot_is_released(status: int, released_s: float) -> None:
+    scene = Scene()
+    scene.run(0.1)
+    scene.fleet.custom_mode[3], scene.fleet.system_status[3] = LOITER, CRITICAL
+    begun_ns = scene.now_ns
+    scene.run(1.0)
+    scene.fleet.system_status[3] = status
+    (found,) = scene.run(10.0)
+    assert (found.release, scene.alarms[-1]) == (
+        [3], "vehicle 4: left for mode AUTO.LOITER; it is released and not fought over, the others come back",
+    )  # fmt: skip
+    left_ns = released_s * SECOND_NS
+    assert scene.now_ns - begun_ns > left_ns
+    early = Scene()
+    early.run(0.1)
+    early.fleet.custom_mode[3], early.fleet.system_status[3] = LOITER, CRITICAL
+    early.run(1.0)
+    early.fleet.system_status[3] = status
+    assert early.run(released_s - 1.1) == []
+
+
+def test_who_only_waits_and_goes_down_again_by_setpoints_does_not_come_down_by_itself() -> None:
+    scene = Scene()
+    scene.pos[3] = scene.pos[4] + [0.0, 0.0, -1.0]
+    scene.run(0.1)
+    scene.fleet.custom_mode[3], scene.fleet.system_status[3] = LOITER, CRITICAL
+    scene.run(1.0)
+    scene.vel[3, 2] = 0.3  # it follows again, and its heartbeat is late
+    scene.run(0.5)
+    assert not any("comes down by itself" in text for text in scene.alarms)
+    scene.fleet.system_status[3] = ACTIVE  # in LOITER by somebody's hand
+    scene.run(0.5)
+    assert any("vehicle 4: comes down by itself, vehicle 5 is" in text for text in scene.alarms)
 
 
 def test_who_was_never_ours_is_an_obstacle_and_no_more() -> None:

@@ -33,7 +33,9 @@ class Sinking:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells who comes down by itself, and who is below; where the first is not ours, those below are told of it."""
         fleet, n = sight.fleet, len(sight.fleet)
-        self._by_itself = (self._by_itself | (self._modes.foreign & ~sight.excused)) & fleet.armed
+        modes = self._modes
+        by_itself = (self._by_itself & modes.foreign) | (modes.foreign & ~modes.waits & ~sight.excused)
+        self._by_itself = by_itself & fleet.armed
         if not some(self._by_itself):
             return
         stands = ~sight.airborne

@@ -8,7 +8,7 @@ import numpy as np
 
 from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER
+from groundstation.mavlink.vehicle import HEARTBEAT_PATIENCE, LANDED_LANDING, NEVER, Fleet
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.links import LinkPlan
 from groundstation.mission.plan.plan import MissionPlan
@@ -17,6 +17,8 @@ from groundstation.mission.timing import SECOND_NS
 _REPORTS_MISSED = 3.0  # on narrow links batteries are told so rarely that this is longer than the limit
 _BATTERY_LOST = 3.0  # times the limit after which the vehicle comes back
 _MODE_LOST_S = 2.5  # two heartbeats, so that one from before our last request is not believed
+_WAITS_S = 10.0  # for one that its own failsafe holds until it hears setpoints again; told after a moment
+_WAITS_TOLD_S = 0.2
 
 
 class Heartbeats:
@@ -43,16 +45,23 @@ class Heartbeats:
 
 
 class Modes:
-    """Autopilots that left the mode that follows us, by themselves or by their pilot's hand."""
+    """Autopilots that left the mode that follows us, by themselves or by their pilot's hand.
+
+    Attributes:
+        foreign: armed, and not in that mode, shape (n,).
+        waits: those of them that stand still by their own failsafe until they hear setpoints again, shape (n,).
+    """
 
     def __init__(self, plan: MissionPlan) -> None:
         self._autopilots = plan.autopilots
-        self._lasting = Lasting(plan.size, _MODE_LOST_S)
+        self._lasting, self._deaf = Lasting(plan.size, _MODE_LOST_S), Lasting(plan.size, _WAITS_S)
+        self._told_deaf = Lasting(plan.size, _WAITS_TOLD_S, again=True)
         self.foreign: BoolArray = np.zeros(plan.size, dtype=np.bool_)
+        self.waits: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._told: tuple[tuple[int, ...], BoolArray] = ((), self.foreign)  # modes, and which of them stream
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
-        """Releases those that have left, for good."""
+        """Releases those that have left, for good; those that only wait to hear us again after a longer while."""
         fleet = sight.fleet
         modes = tuple(fleet.custom_mode.tolist())
         if modes != self._told[0]:
@@ -63,10 +72,24 @@ class Modes:
         self.foreign = (~follows | (fleet.landed_state == LANDED_LANDING)) & fleet.armed
         # While two senders take turns nobody knows whose mode that is; that there are two is told soon.
         clear = ~fleet.senders.in_doubt(sight.now_ns)
-        for vehicle in self._lasting(~follows & ours & ~sight.excused & clear, sight.now_ns):
+        left = ~follows & ours & ~sight.excused & clear
+        self.waits = left & fleet.armed & self._waiting(fleet, left)
+        for vehicle in self._told_deaf(self.waits, sight.now_ns):
+            mode = self._autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
+            what = f"hears no setpoints, its own failsafe holds it in mode {mode}; it is waited for, {_WAITS_S:g} s"
+            yield Finding(Reaction.SAY, what, (vehicle,))
+        for vehicle in self._lasting(left & ~self.waits, sight.now_ns) + self._deaf(self.waits, sight.now_ns):
             mode = self._autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
             what = f"left for mode {mode}" if fleet.armed[vehicle] else "disarmed by itself"
             yield Finding(Reaction.RELEASE, what, (vehicle,))
+
+    def _waiting(self, fleet: Fleet, left: BoolArray) -> BoolArray:
+        """Whom its own failsafe holds until setpoints arrive again, of those that have left, shape (n,)."""
+        waits: BoolArray = np.zeros(len(fleet), dtype=np.bool_)
+        for vehicle in left.nonzero()[0].tolist():
+            mode, status = int(fleet.custom_mode[vehicle]), int(fleet.system_status[vehicle])
+            waits[vehicle] = self._autopilots[vehicle].waits_for_setpoints(mode, status)
+        return waits
 
 
 class Battery:

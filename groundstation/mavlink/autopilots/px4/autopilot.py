@@ -35,6 +35,7 @@ class Px4(Autopilot):
     )  # fmt: skip
     _MAIN_OFFBOARD = 6
     _MAIN_AUTO = 4
+    _SUB_LOITER = 3
     _SUB_LAND = 6
     _MAIN_NAMES = {  # noqa: RUF012 - never written to
         1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED",
@@ -49,7 +50,9 @@ class Px4(Autopilot):
 
     def idle_mode(self) -> Command:
         """DO_SET_MODE to AUTO.LOITER; after a flight OFFBOARD stays what was asked for."""
-        return Command("hold mode", CMD_DO_SET_MODE, (CUSTOM_MODE_ENABLED, float(self._MAIN_AUTO), 3.0))
+        return Command(
+            "hold mode", CMD_DO_SET_MODE, (CUSTOM_MODE_ENABLED, float(self._MAIN_AUTO), float(self._SUB_LOITER))
+        )
 
     def is_streaming_mode(self, custom_mode: int) -> bool:
         """Main mode OFFBOARD."""
@@ -89,3 +92,8 @@ class Px4(Autopilot):
     def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
         """OFFBOARD lasts as long as its setpoints."""
         return self.is_streaming_mode(custom_mode) and system_status < _STATE_CRITICAL
+
+    def waits_for_setpoints(self, custom_mode: int, system_status: int) -> bool:
+        """AUTO.LOITER by a failsafe, which its status tells: OFFBOARD is still what was asked for."""
+        holds = custom_mode >> 16 & 0xFF == self._MAIN_AUTO and custom_mode >> 24 == self._SUB_LOITER
+        return holds and system_status >= _STATE_CRITICAL
