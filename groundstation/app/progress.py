@@ -1,4 +1,4 @@
-"""What a flight shows while it lasts: one live line of state, and a line for each thing that happens.
+"""What a flight shows while it lasts: a live line and a table of the team, and a line for each thing that happens.
 
 The tick only says what is to be shown; a thread of its own shows it. A terminal that is stopped, slow, closed or full,
 and memory that has run out while drawing, cost the picture and nothing else.
@@ -12,20 +12,22 @@ from collections.abc import Callable, Sequence
 from threading import Event, Thread
 from types import TracebackType
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
 from groundstation.app.session import Session
+from groundstation.app.team_table import ROWS_MIN, LastAlarms, team_table
 from groundstation.links.link import Link
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.runner import Note, Phase
+from groundstation.mission.runner import FORMATION_PHASES, Note, Phase
 
 _REFRESH_NS = 200_000_000
 _WAITING_NS = 5_000_000_000
 _LINES_MAX = 5_000  # that wait for a terminal that takes none; the oldest are left out, the log has them all
 _LAST_LINES_S = 5.0
 _WAITING_PHASES = (Phase.CONNECT, Phase.TAKEOVER)
+_OTHER_LINES = 6  # of the terminal: state, head of the table, prompt, and some of what has happened
 _STYLES = {"alarm": "bold red", "phase": "bold", "info": "dim", "roles": "dim"}
 
 
@@ -48,7 +50,7 @@ class Screen:
         self.problem: str | None = None
         self._console = console
         self._lines: deque[Text] = deque(maxlen=_LINES_MAX)
-        self._state: Text | None = None
+        self._state: RenderableType | None = None
         self._news = Event()
         self._end = False
         self._thread = Thread(target=self._run, name="screen", daemon=True)
@@ -62,9 +64,9 @@ class Screen:
         self._lines.append(text)
         self._news.set()
 
-    def state(self, text: Text) -> None:
+    def state(self, picture: RenderableType) -> None:
         """Takes the state to be shown below the lines, in place of the one before."""
-        self._state = text
+        self._state = picture
         self._news.set()
 
     def stop(self) -> None:
@@ -122,7 +124,8 @@ class FlightDisplay:
         prompt: Callable[[], str] | None = None,
     ) -> None:
         self.screen = Screen(console)
-        self._terminal = console.is_terminal
+        self._console = console
+        self._alarms = LastAlarms([vehicle.id for vehicle in plan.spec.vehicles])
         self._plan = plan
         self._links = links
         self._states = [""] * len(links)
@@ -154,6 +157,8 @@ class FlightDisplay:
 
     def _look(self, session: Session, now_ns: int, notes: list[Note]) -> None:
         for note in notes:
+            if note.kind == "alarm":
+                self._alarms.take(note.text, now_ns)
             self.screen.line(Text(f"{now_ns / 1e9:8.2f} s  {note.kind:5}  {note.text}", style=_STYLES[note.kind]))
         prompt = self._prompt() if self._prompt is not None else ""
         if now_ns < self._next_ns and prompt == self._prompted:
@@ -161,8 +166,8 @@ class FlightDisplay:
         self._next_ns, self._prompted = now_ns + _REFRESH_NS, prompt
         self._tell_links(now_ns)
         runner = session.runner
-        if self._terminal:
-            self.screen.state(self._line(session, now_ns, prompt))
+        if self._console.is_terminal:
+            self.screen.state(self._picture(session, now_ns, prompt))
         elif runner.phase in _WAITING_PHASES and now_ns >= self._next_waiting_ns:
             # Where nothing can be drawn over, what is waited for is told now and then: an estimator takes a minute.
             self._next_waiting_ns = now_ns + _WAITING_NS
@@ -179,17 +184,30 @@ class FlightDisplay:
                 style = _STYLES["alarm" if state else "phase"]
                 self.screen.line(Text(f"{now_ns / 1e9:8.2f} s  link   {words}", style=style))
 
-    def _line(self, session: Session, now_ns: int, prompt: str) -> Text:
+    def _picture(self, session: Session, now_ns: int, prompt: str) -> Group:
+        """The state, the team where there is one to be seen, and what the keys do."""
+        parts: list[RenderableType] = [self._line(session, now_ns)]
+        if session.runner.phase not in _WAITING_PHASES:
+            lines = max(ROWS_MIN, self._console.height - _OTHER_LINES)
+            parts.append(team_table(session, self._plan, self._alarms, now_ns, lines))
+        if prompt:
+            parts.append(Text(prompt, style="dim" if prompt.startswith("h hold") else "bold yellow"))
+        return Group(*parts)
+
+    def _line(self, session: Session, now_ns: int) -> Text:
         runner = session.runner
         text = Text(f"{self._plan.spec.name}  {now_ns / 1e9:6.1f} s  {runner.phase.value}", style="bold cyan")
         if runner.phase in _WAITING_PHASES:
             for problem in [*link_troubles(self._links), *runner.problems]:
                 text.append(f"\n  waiting: {problem}", style="yellow")
-        else:
-            airborne = int(runner.airborne.sum())
-            text.append(f"  in the air: {airborne} of {self._plan.size}", style="default")
-            if math.isfinite(runner.figures.min_distance_m):  # not before two of them are in the air
-                text.append(f"  smallest distance {runner.figures.min_distance_m:.2f} m", style="default")
-        if prompt:
-            text.append(f"\n{prompt}", style="dim" if prompt.startswith("h hold") else "bold yellow")
+            return text
+        if runner.phase in FORMATION_PHASES:
+            error_m = runner.formation_error_m(runner.look(now_ns).poses.pos_team_ned_m)
+            text.append(f"  step {runner.step_number} of {len(self._plan.spec.steps)}", style="default")
+            if math.isfinite(error_m):
+                text.append(f"  formation {error_m:.2f} m off", style="default")
+        text.append(f"  in the air: {int(runner.airborne.sum())} of {self._plan.size}", style="default")
+        if math.isfinite(runner.figures.min_distance_m):  # not before two of them are in the air
+            least = f"  smallest distance {runner.figures.min_distance_m:.2f} m"
+            text.append(f"{least} (r {self._plan.spec.avoidance.radius_m:g})", style="default")
         return text

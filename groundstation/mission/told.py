@@ -91,6 +91,11 @@ class Told:
         """Role per vehicle, shape (n,)."""
         return self._team.formation.role_of_agent
 
+    @property
+    def step_number(self) -> int:
+        """Of the mission's step under way, from 1; 0 before the first."""
+        return self._team.formation.step_number
+
     def formation_error_m(self, pos_m: FloatArray) -> float:
         """Largest |d_ij - d*_ij| of the formation under way, of positions in any one frame, shape (n, 3)."""
         return self._team.formation.error_m(pos_m)

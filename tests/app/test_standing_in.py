@@ -313,6 +313,6 @@ def test_no_distance_is_shown_before_there_is_one() -> None:
     session = Session(Runner(pair(), 0), None)
     session.runner._machine.happen(Event.READY, 0)
     display = FlightDisplay(Console(file=io.StringIO()), pair())
-    assert "distance" not in display._line(session, 0, "").plain
+    assert "distance" not in display._line(session, 0).plain
     session.runner.figures.min_distance_m = 1.234
-    assert "smallest distance 1.23 m" in display._line(session, 0, "").plain
+    assert "smallest distance 1.23 m" in display._line(session, 0).plain

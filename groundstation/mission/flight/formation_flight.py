@@ -98,6 +98,11 @@ class FormationFlight:
         """Points and graph of the formation under way, at the size it has at the moment."""
         return self._now.formation
 
+    @property
+    def step_number(self) -> int:
+        """Of the mission's step under way, from 1; 0 before the first."""
+        return self._now.number + 1
+
     def error_m(self, pos_m: FloatArray) -> float:
         """Largest |d_ij - d*_ij| over all pairs, of positions in any one frame, shape (n, 3); size free where it is."""
         if self._doing is not None and not self._doing.formed:
