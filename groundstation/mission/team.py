@@ -133,6 +133,7 @@ class Team:
             poses=poses,
             home_ned_m=self.formation.gather_ned_m,
             blind=board.blind,
+            unheard=board.unheard,
             foreign=board.foreign | silent,
             led=~(self.absent() | silent),
             coming=self.roster.homeward | coming,

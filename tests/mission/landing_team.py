@@ -129,6 +129,7 @@ class LandingTeam:
                     poses,
                     self.home_ned_m,
                     blind=self.lost,
+                    unheard=nobody,
                     foreign=self.loose,
                     led=~unsteered,
                     coming=coming & obedient,

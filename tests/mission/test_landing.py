@@ -80,7 +80,7 @@ class _Team:
         home_ned_m = self.plan.pads_enu_m[:, [1, 0, 2]] * [1.0, 1.0, -1.0] - [0.0, 0.0, 0.5]
         self.landing.step(
             round(now_s * SECOND_NS),
-            Around(poses, home_ned_m, blind=nobody, foreign=nobody, led=~nobody, coming=~nobody),
+            Around(poses, home_ned_m, blind=nobody, unheard=nobody, foreign=nobody, led=~nobody, coming=~nobody),
         )
         return [vehicle for vehicle, _ in self.wishes.asked]
 

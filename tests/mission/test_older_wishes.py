@@ -60,7 +60,7 @@ def test_whoever_has_not_told_lately_that_it_stands_is_landed_and_not_disarmed(
     still, nobody = np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros(2, dtype=np.bool_)
     pads_ned_m = frames.ned_from_enu(plan.pads_enu_m)
     poses = Poses(pads_ned_m, np.zeros((2, 3)), still, nobody)
-    around = Around(poses, pads_ned_m, blind=nobody, foreign=nobody, led=~nobody, coming=~nobody)
+    around = Around(poses, pads_ned_m, blind=nobody, unheard=nobody, foreign=nobody, led=~nobody, coming=~nobody)
     sent: list[str] = []
     for k in range(100):
         if told:

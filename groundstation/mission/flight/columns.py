@@ -48,6 +48,7 @@ class Scene:
         down: stands, or is disarmed.
         sinks: in the air, told to land or landing by itself.
         lost: in the air perhaps, and nobody knows where.
+        unheard: lost since nothing is heard of it, which may end.
         loose: in the air and not steered by us: it may come down where it is.
         led: can be told to go elsewhere.
         wanted: shall land as soon as it may.
@@ -60,6 +61,7 @@ class Scene:
     down: BoolArray
     sinks: BoolArray
     lost: BoolArray
+    unheard: BoolArray
     loose: BoolArray
     led: BoolArray
     wanted: BoolArray

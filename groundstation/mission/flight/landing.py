@@ -40,6 +40,7 @@ class Around:
         poses: where everybody is, or was last seen.
         home_ned_m: where everybody gathers before it lands, shape (n, 3).
         blind: nobody knows where it is any more.
+        unheard: since nothing is heard of it, which may end.
         foreign: armed, and does not follow our setpoints at the moment.
         led: follows them, so that it can be led to another place.
         coming: on its way home.
@@ -48,6 +49,7 @@ class Around:
     poses: Poses
     home_ned_m: FloatArray
     blind: BoolArray
+    unheard: BoolArray
     foreign: BoolArray
     led: BoolArray
     coming: BoolArray
@@ -188,6 +190,7 @@ class Landing:
             down=down,
             sinks=sinks,
             lost=around.blind & ~down,
+            unheard=around.unheard & ~down,
             loose=loose,
             led=around.led & ~sinks,
             wanted=roster.lands & ~down,

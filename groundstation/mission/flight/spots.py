@@ -20,6 +20,7 @@ from groundstation.mission.timing import SECOND_NS, AskAgain, Since
 
 _CROWDED_NS = 20 * SECOND_NS  # so long those who fly below are given to get out of the way
 _PATIENCE_NS = 60 * SECOND_NS  # so long a vehicle waits for a place, where its battery allows that
+_UNHEARD_NS = 5 * SECOND_NS  # so long it stands still: heard again it is led, and comes down where that is known
 _LOST_WAY_NS, _LATE_HOME_NS = 30 * SECOND_NS, 10 * SECOND_NS
 _LOOK_AGAIN_NS = SECOND_NS // 2
 _SAME_M = 1e-6
@@ -141,6 +142,8 @@ class Spots:
         if self._roster.told_to_land[vehicle] or not np.isfinite(at_m).all():
             return True
         waited_ns = self._waited_ns(vehicle, now_ns)
+        if scene.unheard[vehicle] and waited_ns < _UNHEARD_NS and not scene.hurries[vehicle]:
+            return False
         who = self._columns.taken(vehicle, scene, at_m, but_higher_ones=True).in_the_way(at_m)
         if who is None:
             return not self._columns.below(vehicle, scene).any() or waited_ns >= _CROWDED_NS

@@ -76,6 +76,11 @@ class Board:
         return self._losses.blind
 
     @property
+    def unheard(self) -> BoolArray:
+        """Those of them that are lost since nothing is heard, and may be heard again, shape (n,)."""
+        return self._losses.unheard
+
+    @property
     def hold(self) -> BoolArray:
         """Vehicles whose pose cannot be steered by at this moment; they are told to stand still, shape (n,)."""
         return self._ages.hold | self._jumps.suspect | self.resting.moves

@@ -24,6 +24,7 @@ class Losses:
     Attributes:
         blind: nobody knows where these are now, shape (n,).
         since_ns: since when, of those, shape (n,).
+        unheard: those of them that are lost since nothing is heard, and for no other reason, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -33,7 +34,7 @@ class Losses:
         self._heartbeat_age_s = plan.spec.limits.heartbeat_age_s
         self.blind: BoolArray = np.zeros(n, dtype=np.bool_)
         self.since_ns: IntArray = np.zeros(n, dtype=np.int64)
-        self._unheard: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.unheard: BoolArray = np.zeros(n, dtype=np.bool_)
         self._seen_ned_m: FloatArray = np.full((n, 3), np.nan)
         self._seen_ns: IntArray = np.zeros(n, dtype=np.int64)
         self._back = HeldEach(n)
@@ -49,10 +50,10 @@ class Losses:
         new = [row for row in rows if not self.blind[row]]
         self.since_ns[new] = sight.now_ns
         self._seen_ned_m[new], self._seen_ns[new] = sight.pos_team_ned_m[new], sight.pose_ns[new]
-        self._unheard[new] = unheard
+        self.unheard[new] = unheard
         self.blind[new] = True
         if not unheard:
-            self._unheard[rows] = False
+            self.unheard[rows] = False
 
     def find(self, sight: Sight, suspect: BoolArray) -> list[Finding]:
         """Takes back those that are heard again; once per tick, before the monitors look.
@@ -64,17 +65,17 @@ class Losses:
         Returns:
             One line for each.
         """
-        waiting = self.blind & self._unheard
-        if not some(waiting):
+        if not some(self.unheard):
             return []
         fleet, now_ns = sight.fleet, sight.now_ns
         gone_s = (now_ns - self._seen_ns) / SECOND_NS
         gone_m = norms(sight.pos_team_ned_m - self._seen_ned_m)
-        back = waiting & sight.ours & (now_ns - sight.pose_ns <= self._fresh_ns) & ~suspect
+        back = self.unheard & sight.ours & (now_ns - sight.pose_ns <= self._fresh_ns) & ~suspect
         back &= gone_m <= self._jump_m + self._speed_m_s * gone_s  # NaN is not
         back &= ~fleet.heartbeat_stale(now_ns, self._heartbeat_age_s) & ~fleet.senders.in_doubt(now_ns)
         found = self._back(back, now_ns, _FOUND_NS)
         self.blind &= ~found
+        self.unheard &= ~found
         findings = []
         for row in found.nonzero()[0].tolist():
             what = f"its position is told again, {gone_m[row]:.1f} m from where it was last seen"
