@@ -5,7 +5,7 @@ The truth is measured for the report alone; nothing of it reaches the runner.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from threading import Event, Thread
 
 import numpy as np
 
+from groundstation.app.gateway.emulated import BEHIND_A_GATEWAY, own_params
 from groundstation.app.session import Session
 from groundstation.app.signing import read_keys
 from groundstation.core.errors import UserError
@@ -21,6 +22,7 @@ from groundstation.core.metrics import min_clearance
 from groundstation.core.regions import SafetyRegion
 from groundstation.mission.ground.failsafe import make_failsafe
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.schema import VehicleSpec
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
 from sitl.faults import Fault, FaultError, load_faults
@@ -47,7 +49,13 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 f"{plan.source}: vehicles[{number}].autopilot: {vehicle.autopilot} is not emulated; for a dry run add"
                 f" --set vehicles.{number}.autopilot= with one of {', '.join(PERSONALITIES)}"
             )
-        if vehicle.origin in ("team", "declared"):
+        if vehicle.autopilot in BEHIND_A_GATEWAY:
+            if vehicle.origin != "team":
+                raise UserError(
+                    f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: a {vehicle.autopilot} tells where"
+                    " it is in the room, which is the team's frame; write origin: team"
+                )
+        elif vehicle.origin in ("team", "declared"):
             raise UserError(
                 f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: emulated vehicles start their local frame"
                 f" where they stand; for a dry run add --set vehicles.{number}.origin=pad"
@@ -71,7 +79,7 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 noise=GPS if plan.positioning == "gps" else MOCAP,
                 streams=PERSONALITIES[vehicle.autopilot].streams,
                 signing_key=None if key is None else key.setup_bytes(),
-                params=tuple(autopilot.failsafes.settings(wish).items()),
+                params=_params(vehicle, autopilot.failsafes.settings(wish)),
             )
             for vehicle, yaw, key, autopilot, wish in zip(
                 plan.spec.vehicles, yaws, key_of_vehicle, plan.autopilots, wishes, strict=True
@@ -82,6 +90,13 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     if anchor is not None:
         config = replace(config, home_lat_deg=anchor.lat_deg, home_lon_deg=anchor.lon_deg, home_alt_m=anchor.alt_m)
     return config
+
+
+def _params(vehicle: VehicleSpec, settings: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    """Settings of a vehicle by the names that its firmware has; those of a gateway are not the vehicle's."""
+    if vehicle.autopilot not in BEHIND_A_GATEWAY:
+        return tuple(settings.items())
+    return own_params(settings, PERSONALITIES[vehicle.autopilot].parameters(vehicle.id))
 
 
 def _flown(plan: MissionPlan, profile: str) -> str:

@@ -19,6 +19,7 @@ from groundstation.app.console.viewers import Viewers
 from groundstation.app.emulator import TruthMeter, served_world, world_config
 from groundstation.app.fence_giving import give_fence
 from groundstation.app.forwarding import Forward
+from groundstation.app.gateway.emulated import GatewayWorld
 from groundstation.app.keyboard import Keyboard
 from groundstation.app.law_watch import LawWatch
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
@@ -197,7 +198,7 @@ def fly_dry(
             display = at_the_desk.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
-                world,
+                GatewayWorld(world),
                 period_ns=period_ns(plan),
                 watchers=(
                     display,

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from groundstation.app.emulator import TruthMeter, world_config
+from groundstation.app.gateway.emulated import GatewayWorld
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.resources import packaged_configs
@@ -62,6 +63,7 @@ class Flight:
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
+        self._gateway = GatewayWorld(self.world)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -93,14 +95,16 @@ class Flight:
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """The emulator's side of the loop, with the network's mischief."""
-        sent = [item._replace(t_ns=item.t_ns - self._begin_ns) for item in self.world.advance(now_ns + self._begin_ns)]
+        sent = [
+            item._replace(t_ns=item.t_ns - self._begin_ns) for item in self._gateway.advance(now_ns + self._begin_ns)
+        ]
         if self._tamper is None:
             return sent
         return [arrived for datagram in sent for arrived in self._tamper(datagram, self)]
 
     def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
         """What the ground station sends, untouched."""
-        self.world.receive(vehicle_index, data, now_ns + self._begin_ns)
+        self._gateway.receive(vehicle_index, data, now_ns + self._begin_ns)
 
     def texts(self, kind: str) -> list[str]:
         """What was noted, of one kind."""

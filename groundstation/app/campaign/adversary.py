@@ -19,6 +19,7 @@ import yaml
 
 from groundstation.app.campaign.plot import STRANGERS, Event
 from groundstation.app.campaign.vary import AdversarySpec
+from groundstation.app.gateway.emulated import BEHIND_A_GATEWAY
 from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
@@ -324,7 +325,7 @@ class _Draft:
 
     def _vehicles(self, pads: FloatArray) -> list[dict[str, object]]:
         ids = np.sort(self._rng.permutation(np.arange(1, 251))[: self.n]).tolist()
-        known = tuple(name for name in AUTOPILOTS if name in PERSONALITIES)
+        known = tuple(name for name in AUTOPILOTS if name in PERSONALITIES and name not in BEHIND_A_GATEWAY)
         mixed = self._pick((*((name,) for name in known), known))
         links = self._pick((1, 1, 2))
         vehicles: list[dict[str, object]] = []
