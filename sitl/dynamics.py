@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from sitl.environment import Air, Downwash, Wind
 from sitl.estimator import Estimator
 from sitl.frames import Array
@@ -48,7 +50,8 @@ class Dynamics:
         self.commands = Commands(profiles, pos_enu_m, yaw_enu_rad)
         self.health = Health(self.n)
         self.ground = Ground(pos_enu_m, floor_m)
-        self._step_s, self._estimator = step_s, estimator
+        self._estimator = estimator
+        self._dt, self._gravity = np.array(step_s), np.full(self.n, GRAVITY_M_S2)
         self._reference = Reference(profiles, step_s)
         self._velocity = VelocityLoop(profiles, step_s)
         self._attitude = AttitudeLoop(profiles, step_s)
@@ -67,21 +70,21 @@ class Dynamics:
                 self._settle()
             return
         self._settled = False
-        health, velocity, dt = self.health, self._velocity, self._step_s
+        health, velocity, dt = self.health, self._velocity, self._dt
         ref, ref_rate = self._reference.step(k, commands, motion.pos_enu_m, estimator.pos_error)
         wanted = velocity.wanted(ref, ref_rate, motion.vel_enu_m_s, estimator.vel_error, health.thrust_share)
         self._attitude.step(k, motion, commands, health, wanted)
 
         # motion, semi-implicit
         acc = motion.up_enu * motion.thrust_m_s2
-        acc[2] -= GRAVITY_M_S2
+        acc[2] -= self._gravity
         self._air.push(acc, motion, ref, velocity)
         if motion.any_on_ground:
             acc[:2] *= ~motion.on_ground  # friction, until it has lifted
         motion.vel_enu_m_s += acc * dt
         motion.pos_enu_m += motion.vel_enu_m_s * dt
         motion.acc_enu_m_s2 = acc
-        self.ground.stop(motion, velocity.integral, health, commands.flying & (commands.vel_sp_enu_m_s[2] >= 0.0))
+        self.ground.stop(motion, velocity.integral, health, commands)
         if commands.yaw_used or health.any_tumbling:
             commands.yaw_used = True
             self._heading.step(k, motion, commands, health)

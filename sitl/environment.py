@@ -13,7 +13,7 @@ import numpy as np
 from sitl.frames import Array
 from sitl.loops import VelocityLoop
 from sitl.motion import Motion
-from sitl.profiles import Profile, column
+from sitl.profiles import Profile, column, spread
 from sitl.wander import Wander
 
 _BLOCK = 256
@@ -91,7 +91,7 @@ class Air:
     ) -> None:
         n = len(profiles)
         self._step_s, self._wind, self._downwash = step_s, wind, downwash
-        self._drag = column(profiles, "frame.drag_per_s")
+        self._drag = spread(profiles, "frame.drag_per_s")
         self._per_s, self._per_m = column(profiles, "frame.air_per_s"), column(profiles, "frame.air_per_m")
         self._sticky = np.maximum(self._drag - self._per_s, 0.0)
         self._calm_vel, self._calm_integral = np.zeros((3, n)), np.zeros((3, n))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sitl.frames import Array
-from sitl.motion import Health, Motion
+from sitl.motion import Commands, Health, Motion
 
 _CONTACT_M = 1e-9
 _HARD_M_S, _LEANING_UP = 1.5, math.cos(math.radians(55.0))
@@ -32,7 +31,7 @@ class Ground:
         self.posts_up = True
         self._floor_m, self._pads_enu_m = floor_m, pads_enu_m.copy()
 
-    def stop(self, motion: Motion, integral: Array, health: Health, lifts: NDArray[np.bool_]) -> None:
+    def stop(self, motion: Motion, integral: Array, health: Health, commands: Commands) -> None:
         """Stops at the ground whoever has reached it and does not lift; friction holds what stands.
 
         Args:
@@ -40,12 +39,14 @@ class Ground:
             integral: of their velocity loops, changed, shape (3, n).
             health: who tumbles, and comes down leaning or fast, stays where it is. A motor that fails a hand's breadth
                 above the ground does no harm: the vehicle is down before it leans.
-            lifts: who wants to leave the ground, shape (n,): who tumbles then turns over.
+            commands: who wants to leave the ground; who tumbles then turns over.
         """
         pos, vel = motion.pos_enu_m, motion.vel_enu_m_s
         below = pos[2] <= self.height_m + _CONTACT_M
-        below &= vel[2] <= 0.0
-        touching = bool(below.any())
+        touching = b"\1" in below.tobytes()
+        if touching:
+            below &= vel[2] <= 0.0
+            touching = bool(below.any())
         if touching:
             landing = below & ~motion.on_ground
             if landing.any():
@@ -65,7 +66,9 @@ class Ground:
             motion.up_enu[:2] *= keep
             motion.up_enu[2][below] = 1.0
             integral *= keep
-            motion.crashed |= health.tumbling & below & lifts
+            if health.any_tumbling:
+                lifts = commands.flying & (commands.vel_sp_enu_m_s[2] >= 0.0)
+                motion.crashed |= health.tumbling & below & lifts
         if self._floor_m is not None:
             self._find(motion)
 

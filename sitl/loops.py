@@ -11,14 +11,32 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.frames import Array, wrap_pi
 from sitl.motion import Commands, Health, Motion
-from sitl.profiles import Profile, column, columns
+from sitl.profiles import Profile, column, columns, spread
 
 GRAVITY_M_S2 = 9.80665
+# Every step of every flight comes through here, and arrays are small: an operation on two arrays of one shape takes
+# less time than one with a plain number, and a third of one in which a row is spread over three. Shortening what is
+# short enough, times 1, is left out.
+_GRAVITY, _TINY, _ONE = np.array(GRAVITY_M_S2), np.array(1e-9), np.array(1.0)
 _THRUST_MIN_G = 0.1  # props never stop in flight
+_INTEGRAL_MIN_M_S2, _INTEGRAL_MAX_M_S2 = np.array(-5.0), np.array(5.0)
 _YAW_EVERY = 5  # the yaw loop is slow: it runs every fifth step
+
+
+def _all(mask: NDArray[np.bool_]) -> bool:
+    """Whether it is so of everybody: ``mask.all()`` in a seventh of its time."""
+    return b"\0" not in mask.tobytes()
+
+
+def _shorten(vectors: Array, limit: Array) -> None:
+    """Shortens the first two rows, shape (3, n), to a length, shape (n,), where they are longer."""
+    length = np.maximum(np.hypot(vectors[0], vectors[1]), _TINY)
+    if not _all(length <= limit):
+        vectors[:2] *= np.minimum(limit / length, _ONE)
 
 
 class Reference:
@@ -26,7 +44,7 @@ class Reference:
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
         n = len(profiles)
-        self._kpos = column(profiles, "loops.position_gain_per_s")
+        self._kpos = spread(profiles, "loops.position_gain_per_s")
         delay = np.maximum(np.rint(column(profiles, "loops.dead_time_s") / step_s).astype(np.int64), 0)
         self._delay, self._cols = delay, np.arange(n)
         self._delay_same = int(delay[0]) if (delay == delay[0]).all() else None
@@ -34,8 +52,9 @@ class Reference:
         self._queue = np.zeros((self._length, 3, n))
         filter_s = column(profiles, "loops.filter_s")
         self._filtered = bool((filter_s > 0).any())
-        self._gain = np.where(filter_s > 0, 1.0 - np.exp(-step_s / np.maximum(filter_s, 1e-9)), 1.0)
-        self._feedforward = column(profiles, "loops.filter_feedforward") / step_s
+        gain = np.where(filter_s > 0, 1.0 - np.exp(-step_s / np.maximum(filter_s, 1e-9)), 1.0)
+        self._gain = np.stack([gain, gain, gain])
+        self._feedforward = spread(profiles, "loops.filter_feedforward") / step_s
         self._first, self._second = np.zeros((3, n)), np.zeros((3, n))
 
     def step(self, k: int, commands: Commands, pos_enu_m: Array, pos_error_m: Array) -> tuple[Array, Array | None]:
@@ -57,8 +76,7 @@ class Reference:
             pull -= pos_error_m
             pull *= self._kpos
             pull *= commands.pos_mask
-            norm = np.hypot(pull[0], pull[1])
-            pull[:2] *= np.minimum(limits[0] / np.maximum(norm, 1e-9), 1.0)
+            _shorten(pull, limits[0])
             np.minimum(pull[2], limits[1], out=pull[2])
             np.maximum(pull[2], -limits[2], out=pull[2])
             command = command + pull
@@ -95,10 +113,11 @@ class VelocityLoop:
         self.kp = columns(profiles, "loops.kp_xy_per_s", "loops.kp_xy_per_s", "loops.kp_z_per_s")
         self.ki_dt = columns(profiles, "loops.ki_xy_per_s2", "loops.ki_xy_per_s2", "loops.ki_z_per_s2") * step_s
         self.integral = np.zeros((3, len(profiles)))
-        self._drag_ff = column(profiles, "frame.drag_per_s") * column(profiles, "loops.drag_feedforward")
+        self._drag_ff = spread(profiles, "frame.drag_per_s") * spread(profiles, "loops.drag_feedforward")
         self._accel_max = column(profiles, "loops.accel_max_m_s2")
         self._tilt_tan = np.tan(column(profiles, "loops.tilt_max_rad"))
         self._thrust_max = column(profiles, "frame.thrust_max_g") * GRAVITY_M_S2
+        self._thrust_min = np.full(len(profiles), _THRUST_MIN_G * GRAVITY_M_S2)
 
     def wanted(
         self, ref: Array, ref_rate: Array | None, vel: Array, vel_error: Array, thrust_share: Array
@@ -120,22 +139,21 @@ class VelocityLoop:
         acc -= vel_error
         integral = self.integral
         integral += acc * self.ki_dt
-        np.maximum(integral, -5.0, out=integral)
-        np.minimum(integral, 5.0, out=integral)
+        np.maximum(integral, _INTEGRAL_MIN_M_S2, out=integral)
+        np.minimum(integral, _INTEGRAL_MAX_M_S2, out=integral)
         acc *= self.kp
         acc += integral
         acc += ref * self._drag_ff
         if ref_rate is not None:
             acc += ref_rate
-        horizontal = np.hypot(acc[0], acc[1])
         thrust_max = self._thrust_max * thrust_share
         lift = acc[2]
-        lift += GRAVITY_M_S2
-        np.maximum(lift, _THRUST_MIN_G * GRAVITY_M_S2, out=lift)
+        lift += _GRAVITY
+        np.maximum(lift, self._thrust_min, out=lift)
         np.minimum(lift, thrust_max, out=lift)
         limit = np.minimum(self._accel_max, self._tilt_tan * lift)
         np.minimum(limit, np.sqrt(thrust_max * thrust_max - lift * lift), out=limit)
-        acc[:2] *= np.minimum(limit / np.maximum(horizontal, 1e-9), 1.0)
+        _shorten(acc, limit)
         return acc, np.sqrt(acc[0] * acc[0] + acc[1] * acc[1] + lift * lift)
 
 
@@ -143,8 +161,8 @@ class AttitudeLoop:
     """Attitude of second order towards the wanted thrust direction; motors of first order."""
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
-        omega = column(profiles, "loops.attitude_rad_s")
-        self._step_s = step_s
+        omega = spread(profiles, "loops.attitude_rad_s")
+        self._step_s, self._dt = step_s, np.array(step_s)
         self._omega2_dt = omega**2 * step_s
         self._damp = 1.0 / (1.0 + 2.0 * omega * step_s)  # implicit in the damping: stable at any step
         self._rate_max = column(profiles, "loops.tilt_rate_max_rad_s")
@@ -161,18 +179,21 @@ class AttitudeLoop:
             wanted: force and thrust as ``VelocityLoop.wanted`` gives them; used up.
         """
         (force, thrust), up, rate = wanted, motion.up_enu, motion.up_rate
-        force /= np.maximum(thrust, 1e-9)
+        force /= np.maximum(thrust, _TINY)
         if health.any_tumbling:
             self._tumble(force, health, 3.0 * k * self._step_s)
         force -= up
         force *= self._omega2_dt
         rate += force
         rate *= self._damp
-        speed = np.sqrt(np.add.reduce(rate * rate, axis=0))
-        rate *= np.minimum(self._rate_max / np.maximum(speed, 1e-9), 1.0)
-        up += rate * self._step_s
+        speed = np.maximum(np.sqrt(np.add.reduce(rate * rate, axis=0)), _TINY)
+        if not _all(speed <= self._rate_max):
+            rate *= np.minimum(self._rate_max / speed, _ONE)
+        up += rate * self._dt
         up /= np.sqrt(np.add.reduce(up * up, axis=0))
-        thrust *= commands.flying & ~motion.crashed
+        able = commands.flying & ~motion.crashed
+        if not _all(able):
+            thrust *= able
         motion.thrust_m_s2 += (thrust - motion.thrust_m_s2) * self._thrust_gain
 
     def _tumble(self, wanted_up: Array, health: Health, phase: float) -> None:
@@ -185,7 +206,8 @@ class HeadingLoop:
     """Turns headings towards their commands; the ground holds them."""
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
-        self._step_s = step_s
+        self._dt = np.array(step_s)
+        self._slew = _YAW_EVERY * step_s / 0.08
         self._gain, self._rate_max = (
             column(profiles, "loops.yaw_gain_per_s"),
             column(profiles, "loops.yaw_rate_max_rad_s"),
@@ -193,7 +215,7 @@ class HeadingLoop:
 
     def step(self, k: int, motion: Motion, commands: Commands, health: Health) -> None:
         """Moves on by one step; ``k`` is its number."""
-        motion.yaw_enu_rad += motion.yaw_rate_rad_s * self._step_s
+        motion.yaw_enu_rad += motion.yaw_rate_rad_s * self._dt
         if k % _YAW_EVERY:
             return
         error = wrap_pi(commands.yaw_sp_enu_rad - motion.yaw_enu_rad)
@@ -201,4 +223,4 @@ class HeadingLoop:
         rate = np.clip(rate, -self._rate_max, self._rate_max)
         rate[motion.on_ground] = 0.0
         rate[health.tumbling] = 10.0
-        motion.yaw_rate_rad_s += (rate - motion.yaw_rate_rad_s) * (_YAW_EVERY * self._step_s / 0.08)
+        motion.yaw_rate_rad_s += (rate - motion.yaw_rate_rad_s) * self._slew

@@ -118,6 +118,11 @@ def column(profiles: Sequence[Profile], name: str) -> Array:
     return np.array([number(profile) for profile in profiles], dtype=np.float64)
 
 
+def spread(profiles: Sequence[Profile], name: str) -> Array:
+    """One number of every profile, the same on all axes: shape (3, n)."""
+    return columns(profiles, name, name, name)
+
+
 def columns(profiles: Sequence[Profile], x: str, y: str, z: str) -> Array:
     """One number for each axis, shape (3, n)."""
     return np.stack([column(profiles, name) for name in (x, y, z)])
