@@ -43,6 +43,7 @@ from tests.app.commands import gs
 CONFIGS = packaged_configs()
 CUBE8 = CONFIGS / "missions" / "cube8.yaml"
 SHORT = """
+set: {rate_hz: 10}
 limit_s: 3
 settle_s: 0
 grid: {starts.kind: [pads, planar, volume]}
@@ -235,7 +236,8 @@ verify: true
 faults: {{what: {{kind: {fault}}}, phase: {struck_in}, within_s: 0.5}}
 starts: {{kind: planar}}
 """
-    row = fly_case(_case(tmp_path, TETRAHEDRON + text))
+    text = f"{TETRAHEDRON}  land.timeout_s: 10\n{text}"  # nobody waits longer for one that is in another's way
+    row = fly_case(_case(tmp_path, text))
     assert row["error"] == ""
     assert row["faults"] == fault.partition(",")[0]
     assert row["fault_vehicle"] in (1, 2, 3, 4)
@@ -541,7 +543,7 @@ def test_a_run_whose_worker_died_is_not_flown_and_resume_flies_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _written(tmp_path / "vary.yaml", "limit_s: 1\nsettle_s: 0\n")
+    _written(tmp_path / "vary.yaml", "set: {rate_hz: 10}\nlimit_s: 1\nsettle_s: 0\n")
     common = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--runs", "3", "--json"]
 
     def dies(case: Case) -> dict[str, Any]:
@@ -568,7 +570,7 @@ def test_a_signal_while_the_table_is_made_leaves_no_folder_without_a_summary(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _written(tmp_path / "vary.yaml", "limit_s: 1\nsettle_s: 0\n")
+    _written(tmp_path / "vary.yaml", "set: {rate_hz: 10}\nlimit_s: 1\nsettle_s: 0\n")
     command = ["campaign", "--mission", "cube8.yaml", "--vary", "vary.yaml", "--workers", "0", "-o", "runs"]
     before = [signal.getsignal(taken) for taken in (signal.SIGINT, signal.SIGTERM)]
     merge, draw = Table.merge, report.draw

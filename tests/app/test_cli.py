@@ -23,14 +23,16 @@ FLY_KEYS = {
     "duration_s", "wall_s", "log", "log_complete", "seed",
 }  # fmt: skip
 
-TWO = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--set", "steps.1.hold.seconds=1"]
+SHORT = ["--set", "steps.1.hold.seconds=1", "--set", "rate_hz=10"]
+TWO = ["fly", "--mission", "first_flight2.yaml", "--dry-run", *SHORT]
 
 
 def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, _ = gs(["fly", "--mission", "cube8.yaml", "--dry-run", "--seed", "7", "--json"], monkeypatch, capsys)
+    fly = ["fly", "--mission", "cube8.yaml", "--dry-run", "--set", "rate_hz=25", "--seed", "7", "--json"]
+    code, out, _ = gs(fly, monkeypatch, capsys)
     assert code == 0
     values = json.loads(out.splitlines()[-1])
     assert set(values) == FLY_KEYS
@@ -287,8 +289,7 @@ def test_a_flight_by_gps_can_be_looked_at_like_any_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    fly = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--json", "--log", "a.tlog"]
-    code, out, _ = gs([*fly, "--set", "steps.1.hold.seconds=1"], monkeypatch, capsys)
+    code, out, _ = gs([*TWO, "--json", "--log", "a.tlog"], monkeypatch, capsys)
     assert code == 0
     true_m = json.loads(out.splitlines()[-1])["min_distance_m"]
     code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)

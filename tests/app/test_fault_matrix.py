@@ -17,6 +17,7 @@ from groundstation.app.campaign.vary import Setting
 from groundstation.app.resources import packaged_configs
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
+from tests.app.flights import HALF_RATE
 
 CONFIGS = packaged_configs()
 PADS = [[-0.7, -0.7, 0.0], [0.7, -0.7, 0.0], [-0.7, 0.7, 0.0], [0.7, 0.7, 0.0]]
@@ -30,6 +31,7 @@ def _tetrahedron(autopilot: str, *changes: str) -> MissionPlan:
     return load_mission(
         CONFIGS / "missions" / "cube8.yaml",
         (
+            HALF_RATE,
             f"formation={CONFIGS / 'formations' / 'tetrahedron4.yaml'}",
             f"gains={CONFIGS / 'gains' / 'tetrahedron4.npz'}",
             f"vehicles={vehicles}",

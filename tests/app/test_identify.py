@@ -27,6 +27,7 @@ team: {{profile: {profile}, autopilot: {autopilot}}}
 starts: {{kind: planar, spread: 6}}
 emulator: {{noise: {{position_m: 0.01, velocity_m_s: 0.02}}}}
 set:
+  rate_hz: 25
   formation: ../formations/tetrahedron4.yaml
   gains: ../gains/tetrahedron4.npz
   avoidance.radius_m: 0.4
