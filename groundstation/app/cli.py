@@ -76,7 +76,10 @@ def build(called: str | None) -> typer.Typer:
             module = import_module(f"groundstation.app.commands.{module_name}")
             function = getattr(module, "import_" if name == "import" else name.replace("-", "_"))
         examples = "example: " + "; ".join(EXAMPLES[name]) if name == called else None
-        application.command(name=name, help=None if name == called else overview, epilog=examples)(function)
+        settings = {"ignore_unknown_options": True} if name == "command" else None  # `move -1 0 0`: numbers, no options
+        application.command(
+            name=name, help=None if name == called else overview, epilog=examples, context_settings=settings
+        )(function)
     return application
 
 

@@ -223,6 +223,6 @@ class TruthMeter:
         if runner.phase is Phase.HOLD:
             error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))
-        elif runner.phase is Phase.MOVE:
+        elif runner.phase in (Phase.MOVE, Phase.LEAD):
             error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.move_error_m = float(np.fmax(self.move_error_m, error))

@@ -95,6 +95,24 @@ class MovePlan:
             ahead_rad=ahead * self.turn_rad,
         )
 
+    def done(self, share: float) -> MovePlan:
+        """The part of it that is done when a share of the way is, as a move of its own."""
+        return MovePlan(share * self.by_enu_m, share * self.turn_rad, float(self.scale**share), self.seconds)
+
+    def left(self, share: float) -> MovePlan:
+        """The part of it that is left then, as a move of its own."""
+        return self.done(1.0 - share)
+
+    def carried(self, pos_enu_m: FloatArray, share: float = 1.0) -> FloatArray:
+        """Where it takes places, shape (n, 3), when a share of the way is done; it turns them about their middle."""
+        centre = pos_enu_m.mean(axis=0)
+        offset = self.scale**share * (pos_enu_m - centre)
+        cos, sin = np.cos(share * self.turn_rad), np.sin(share * self.turn_rad)
+        turned = np.stack(
+            [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1], offset[:, 2]], axis=1
+        )
+        return np.asarray(centre + share * self.by_enu_m + turned)
+
     def speed_m_s(self, level_m: float, radius_m: float) -> float:
         """Largest speed that it asks of an agent.
 

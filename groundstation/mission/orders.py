@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
+from groundstation.core.motion import MovePlan
+from groundstation.core.types import FloatArray
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.operator import OperatorCommand, Order, parse_command
+from groundstation.mission.operator import LEADING, OperatorCommand, Order, parse_command
 from groundstation.mission.phases.come_down import SilentPhase
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.phase import Phase
@@ -43,12 +49,18 @@ class Orders:
         why = refusal(machine.phase, order)
         if order is Order.HOLD and why is None:
             why = team.too_low_to_hold(now_ns)
-        if why is None and sightless and order in (Order.HOLD, Order.LAND):
+        if why is None and sightless and order in (Order.HOLD, Order.LAND, Order.MOVE, Order.TURN, Order.SCALE):
             why = "where the vehicles are cannot be worked out at the moment"
+        told = ""
+        if why is None and order in LEADING:
+            taken, told = self._lead(command, poses, now_ns)
+            why = None if taken else told
         if why is not None:
             note("alarm", f"operator: {command.text} refused: {why}")
             return
         note("info", f"operator: {command.text}")
+        if told:
+            note("info", told)
         if order is Order.KILL:
             self._kill(command, now_ns)
         elif order is Order.SILENCE:
@@ -60,8 +72,24 @@ class Orders:
             machine.give_up("stopped by the operator", now_ns, Event.ORDER_RETURN)
         elif order is Order.HOLD:
             machine.happen(Event.ORDER_HOLD, now_ns, poses)
-        else:
+        elif order is Order.LAND:
             self._land(command, poses, now_ns)
+
+    def _lead(self, command: OperatorCommand, poses: Poses, now_ns: int) -> tuple[bool, str]:
+        """The formation goes where it is told; returns whether it does, and what there is to say."""
+        led, order = self._team.formation.led, command.order
+        if led is None:
+            return False, "no `lead` step is under way"
+        if order is Order.STAY:
+            led.stay()
+        elif order is Order.NEXT:
+            led.end("by the operator")
+        else:
+            by: FloatArray = np.array(command.numbers if order is Order.MOVE else (0.0, 0.0, 0.0))
+            turn = math.radians(command.numbers[0]) if order is Order.TURN else 0.0
+            scale = command.numbers[0] if order is Order.SCALE else 1.0
+            return led.steer(command.text, MovePlan(by, turn, scale, 1.0), poses.pos_team_ned_m, now_ns)
+        return True, ""
 
     def _land(self, command: OperatorCommand, poses: Poses, now_ns: int) -> None:
         """Some, or all, come down where they are."""

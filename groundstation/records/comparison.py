@@ -16,7 +16,7 @@ import numpy as np
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.records.replay import Flight
 
-STEPS = ("form", "hold", "move")
+STEPS = ("form", "hold", "move", "lead")
 _GRID_S = 0.05
 _WAY_S = 0.2  # positions nearer in time than that would add their noise to the way
 _GAP_S = 1.0  # a setpoint counts until the next one, and no longer than that

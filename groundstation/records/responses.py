@@ -19,7 +19,7 @@ from groundstation.records.replay import admission_of
 from groundstation.records.tlog import read_tlog
 from groundstation.records.tracks import setpoint_columns
 
-_STEERED = frozenset({"form", "hold", "move", "stop", "return"})
+_STEERED = frozenset({"form", "hold", "move", "lead", "stop", "return"})
 _GAP_NS = 400_000_000  # longer ones between two reports leave the velocity unknown
 _PAUSE_NS = 1_000_000_000  # without setpoints for that long the vehicle does not follow them
 

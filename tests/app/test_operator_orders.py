@@ -24,22 +24,23 @@ from tests.app.flights import SECOND_NS, Flight, Tamper, after, cube8, four, pai
 PERIOD_NS = 20_000_000
 copyreg.pickle(struct.Struct, lambda shape: (struct.Struct, (shape.format,)))  # so that flights can be copied
 DONE = "."  # obeyed, no change of phase
-# What an order leads to: a phase, . for no change, x for a refusal. Columns: hold resume return land kill silence.
+# What an order leads to: a phase, . for no change, x for a refusal. Columns as in LINES.
 LEADS_TO = {
-    Phase.CONNECT: "done x done done silent silent",
-    Phase.TAKEOVER: "x x x x . silent",
-    Phase.ARM: "land x land land land silent",
-    Phase.TAKEOFF: "pause x stop land return silent",
-    Phase.FORM: "pause x stop land return silent",
-    Phase.HOLD: "pause x stop land return silent",
-    Phase.STOP: "pause x . land . silent",
-    Phase.PAUSE: "x hold return land . silent",
-    Phase.RETURN: "pause x . land . silent",
-    Phase.LAND: "x x . x . silent",
-    Phase.SILENT: "x x x . . x",
-    Phase.DONE: "x x x x x x",
+    Phase.CONNECT: "done x done done silent silent x x",
+    Phase.TAKEOVER: "x x x x . silent x x",
+    Phase.ARM: "land x land land land silent x x",
+    Phase.TAKEOFF: "pause x stop land return silent x x",
+    Phase.FORM: "pause x stop land return silent x x",
+    Phase.HOLD: "pause x stop land return silent x x",
+    Phase.LEAD: "pause x stop land return silent . return",
+    Phase.STOP: "pause x . land . silent x x",
+    Phase.PAUSE: "x hold return land . silent x x",
+    Phase.RETURN: "pause x . land . silent x x",
+    Phase.LAND: "x x . x . silent x x",
+    Phase.SILENT: "x x x . . x x x",
+    Phase.DONE: "x x x x x x x x",
 }
-LINES = ("hold", "resume", "return", "land all", "kill 2", "silence")
+LINES = ("hold", "resume", "return", "land all", "kill 2", "silence", "turn 10", "next")
 
 
 class Stepped:
@@ -83,13 +84,15 @@ def moments() -> dict[Phase, Stepped]:
             flight.step(10 if phase in (Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.RETURN) else 2)
         kept[phase] = copy.deepcopy(flight)
 
-    flight = Stepped(pair(autopilots=("px4", "px4")))
+    steps = "steps=[form: {tolerance_m: 0.4}, hold: {seconds: 2}, lead: {seconds: 6}]"
+    flight = Stepped(pair(steps, autopilots=("px4", "px4")))
     for phase in (
         Phase.CONNECT,
         Phase.ARM,
         Phase.TAKEOFF,
         Phase.FORM,
         Phase.HOLD,
+        Phase.LEAD,
         Phase.RETURN,
         Phase.LAND,
         Phase.DONE,

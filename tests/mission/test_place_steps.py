@@ -10,7 +10,8 @@ from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.flight.steps import Now, StepFlight, step_flight
+from groundstation.mission.flight.step import Now, StepFlight
+from groundstation.mission.flight.steps import step_flight
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.ground.battery_need import flight_time_s
 from groundstation.mission.ground.failsafe import make_failsafe

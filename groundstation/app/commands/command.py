@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 from rich.text import Text
+from typer._click.exceptions import NoSuchOption
 
 from groundstation.app.completing import order_words
 from groundstation.app.options import JsonOption
@@ -22,14 +24,17 @@ from groundstation.mission.operator import Order, parse_command
 
 _ANSWER_S = 5.0
 _CONFIRM = "kill"
+_NEGATIVE = re.compile(r"-[0-9.]+")
 
 
 def command(
+    context: typer.Context,
     words: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="ORDER",
-            help="hold, resume, return, land all, land 3, kill all, kill 3 5 or silence; nothing lists the flights.",
+            help="hold, resume, return, land all, land 3, kill all, kill 3 5 or silence; in a lead step move 1 0 0.5,"
+            " turn -90, scale 1.2, stay or next; nothing lists the flights.",
             autocompletion=order_words,
         ),
     ] = None,
@@ -42,6 +47,9 @@ def command(
 ) -> None:
     """Gives an order to a flight in another terminal: of the same user, on the same machine."""
     out = Output(as_json=as_json)
+    for word in words or ():
+        if word.startswith("-") and not _NEGATIVE.fullmatch(word):
+            raise NoSuchOption(word, ctx=context)
     if words and words[0].lower() not in (orders := [order.value for order in Order]):
         raise UserError(f"gs command {words[0]}: {unknown(words[0].lower(), orders)}")
     found, silent = flights(runtime_folder(os.environ, Path.home()))

@@ -15,7 +15,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "gs fly --mission cube8 --dry-run --seed 1 --set speed_limit_m_s=0.3",
         "gs fly --mission mine/mission.yaml --log flights/first",
     ),
-    "command": ("gs command hold", "gs command land 3 --flight cube8"),
+    "command": ("gs command hold", "gs command land 3 --flight cube8", "gs command move -1 0 0.5"),
     "console": ("gs console", "gs console --flight cube8 --port 8089"),
     "vehicles": ("gs vehicles udpin://0.0.0.0:14540 --seconds 6",),
     "check": ("gs check --mission mine/mission.yaml --fix",),

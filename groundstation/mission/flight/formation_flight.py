@@ -23,8 +23,10 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.flight.guidance import Course
 from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.keeping import added
+from groundstation.mission.flight.leading import Leading
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.flight.steps import Now, StepFlight, step_flight
+from groundstation.mission.flight.step import Now, StepFlight
+from groundstation.mission.flight.steps import step_flight
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.stages import roles_for
@@ -99,6 +101,11 @@ class FormationFlight:
         return self._now.formation
 
     @property
+    def led(self) -> Leading | None:
+        """The step in which the operator leads the team; None while there is none under way."""
+        return self._doing if isinstance(self._doing, Leading) else None
+
+    @property
     def step_number(self) -> int:
         """Of the mission's step under way, from 1; 0 before the first."""
         return self._now.number + 1
@@ -159,7 +166,7 @@ class FormationFlight:
         Returns:
             Why the team cannot go on without them, empty when it can.
         """
-        if len(self._plan.stages) > 1 or self._plan.moves or self._plan.places_enu_m:
+        if len(self._plan.stages) > 1 or self._plan.moved or self._plan.places_enu_m:
             return "a mission of several formations, or with moves, is not flown on without one of its vehicles"
         gone = ~self._roster.in_formation
         n, left = self._plan.size, int((~gone).sum())

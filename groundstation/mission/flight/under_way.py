@@ -95,7 +95,7 @@ class UnderWay:
 
     def tell_formation(self, scale: str) -> None:
         """Tells the log which formation is under way from now on, where there are several."""
-        if len(self.plan.stages) > 1 or self.plan.moves:
+        if len(self.plan.stages) > 1 or self.plan.moved:
             scale = "free" if self.stage.scale.kind == "free" else scale
             steps = self.plan.spec.steps[: self.number + 1]
             number = max(k for k, step in enumerate(steps) if step.form is not None)

@@ -1,4 +1,4 @@
-"""The phases that are flown in formation: form, hold, move."""
+"""The phases that are flown in formation: form, hold, move, lead."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ _EVENTS = {
     "form": Event.NEXT_FORM,
     "hold": Event.NEXT_HOLD,
     "move": Event.NEXT_MOVE,
+    "lead": Event.NEXT_LEAD,
     "return": Event.STEPS_DONE,
 }
 
@@ -69,3 +70,9 @@ class MovePhase(FormationPhase):
     """Moves, turns and scales it."""
 
     phase = Phase.MOVE
+
+
+class LeadPhase(FormationPhase):
+    """Keeps it, and moves it as the operator says."""
+
+    phase = Phase.LEAD

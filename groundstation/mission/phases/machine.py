@@ -7,7 +7,7 @@ from collections.abc import Callable
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.come_down import DonePhase, LandPhase, SilentPhase
 from groundstation.mission.phases.come_home import ReturnPhase
-from groundstation.mission.phases.formation import FormPhase, HoldPhase, MovePhase
+from groundstation.mission.phases.formation import FormPhase, HoldPhase, LeadPhase, MovePhase
 from groundstation.mission.phases.on_the_ground import ArmPhase, ConnectPhase
 from groundstation.mission.phases.phase import FORMATION_PHASES, Phase
 from groundstation.mission.phases.stand import PausePhase, StopPhase
@@ -21,8 +21,8 @@ from groundstation.mission.team import Team
 _MAKERS: dict[Phase, Callable[[Team, Entry], PhaseState]] = {
     kind.phase: kind
     for kind in (
-        ConnectPhase, TakeOverPhase, ArmPhase, TakeoffPhase, FormPhase, HoldPhase, MovePhase, StopPhase, PausePhase,
-        ReturnPhase, LandPhase, SilentPhase, DonePhase,
+        ConnectPhase, TakeOverPhase, ArmPhase, TakeoffPhase, FormPhase, HoldPhase, MovePhase, LeadPhase, StopPhase,
+        PausePhase, ReturnPhase, LandPhase, SilentPhase, DonePhase,
     )
 }  # fmt: skip
 

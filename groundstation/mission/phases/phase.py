@@ -15,6 +15,7 @@ class Phase(Enum):
     FORM = "form"
     HOLD = "hold"
     MOVE = "move"
+    LEAD = "lead"
     STOP = "stop"
     PAUSE = "pause"
     RETURN = "return"
@@ -24,8 +25,8 @@ class Phase(Enum):
 
 
 AIRBORNE_PHASES = frozenset(
-    {Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.STOP, Phase.PAUSE, Phase.RETURN, Phase.LAND}
+    {Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.LEAD, Phase.STOP, Phase.PAUSE, Phase.RETURN, Phase.LAND}
 )
 UNWATCHED_PHASES = frozenset({Phase.TAKEOVER, Phase.SILENT})
 """In the air perhaps, and nobody can be told anything by what monitors find."""
-FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD, Phase.MOVE})
+FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.LEAD})

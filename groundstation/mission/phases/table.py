@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from groundstation.mission.operator import Order
+from groundstation.mission.operator import LEADING, Order
 from groundstation.mission.phases.phase import Phase
 
 
@@ -23,6 +23,7 @@ class Event(Enum):
     NEXT_FORM = "a form step is next"
     NEXT_HOLD = "a hold step is next"
     NEXT_MOVE = "a move step is next"
+    NEXT_LEAD = "a lead step is next"
     STEPS_DONE = "all steps are done"
     GO_ON_WITHOUT = "somebody drops out, the others go on"
     GIVE_UP = "the mission is given up"
@@ -36,6 +37,7 @@ class Event(Enum):
     ORDER_RESUME = "resume"
     ORDER_RETURN = "return"
     ORDER_LAND = "land all"
+    ORDER_LEAD = "move, turn, scale, stay, next"
     KILL_ALL = "kill all"
     SILENCE = "setpoints end"
 
@@ -77,6 +79,7 @@ _STEP: dict[Event, Next] = _UP | {
     Event.NEXT_FORM: Phase.FORM,
     Event.NEXT_HOLD: Phase.HOLD,
     Event.NEXT_MOVE: Phase.MOVE,
+    Event.NEXT_LEAD: Phase.LEAD,
     Event.STEPS_DONE: Phase.RETURN,
     Event.GO_ON_WITHOUT: Phase.FORM,
 }
@@ -100,6 +103,7 @@ _ROWS: dict[Phase, dict[Event, Next]] = {
     Phase.FORM: _STEP,
     Phase.HOLD: _STEP,
     Phase.MOVE: _STEP,
+    Phase.LEAD: _STEP | {Event.ORDER_LEAD: _STAY},
     Phase.STOP: _COMING_BACK | {Event.STOOD: Phase.RETURN},
     Phase.PAUSE: _ALWAYS
     | {
@@ -126,11 +130,13 @@ TABLE: dict[Phase, dict[Event, Next]] = {
 _NOTHING_HELD = "nothing is held"
 _OVER = "the mission is over"
 _SILENT = "setpoints have ended; `land` and `kill` are what is left"
-_FLYING: dict[Order, str] = {Order.RESUME: _NOTHING_HELD}
+_NOT_LED: dict[Order, str] = dict.fromkeys(LEADING, "the team is led in a `lead` step of the mission only")
+_FLYING: dict[Order, str] = {Order.RESUME: _NOTHING_HELD} | _NOT_LED
 REFUSED: dict[Phase, dict[Order, str]] = {
     # On the ground hold, return and land do the same: nobody takes off, the mission ends with nobody armed.
     Phase.CONNECT: _FLYING,
-    Phase.TAKEOVER: {
+    Phase.TAKEOVER: _NOT_LED
+    | {
         Order.HOLD: "everybody who is held stands still already",
         Order.RESUME: _NOTHING_HELD,
         Order.RETURN: "that comes next",
@@ -141,15 +147,19 @@ REFUSED: dict[Phase, dict[Order, str]] = {
     Phase.FORM: _FLYING,
     Phase.HOLD: _FLYING,
     Phase.MOVE: _FLYING,
+    Phase.LEAD: {Order.RESUME: _NOTHING_HELD},
     Phase.STOP: _FLYING,
     Phase.RETURN: _FLYING,
-    Phase.PAUSE: {Order.HOLD: "it is held already; `resume` goes on"},
-    Phase.LAND: {
+    Phase.PAUSE: {Order.HOLD: "it is held already; `resume` goes on"}
+    | dict.fromkeys(LEADING, "the team is held; `resume` first"),
+    Phase.LAND: _NOT_LED
+    | {
         Order.HOLD: "landing is the autopilots' own and cannot be held",
         Order.RESUME: _NOTHING_HELD,
         Order.LAND: "the team is landing already",
     },
-    Phase.SILENT: {
+    Phase.SILENT: dict.fromkeys(LEADING, _SILENT)
+    | {
         Order.HOLD: _SILENT,
         Order.RESUME: _SILENT,
         Order.RETURN: _SILENT,
@@ -165,7 +175,7 @@ EVENT_OF_ORDER: dict[Order, Event] = {
     Order.LAND: Event.ORDER_LAND,
     Order.KILL: Event.KILL_ALL,
     Order.SILENCE: Event.SILENCE,
-}
+} | dict.fromkeys(LEADING, Event.ORDER_LEAD)
 """What an order that concerns everybody comes to."""
 
 

@@ -89,6 +89,11 @@ class MissionPlan(LinkPlan, FormationPlan):
         return _KEEP_PLACE_1_S / max(1.0, self.profile.lag_s + self.profile.delay_s) if given == "auto" else given
 
     @cached_property
+    def moved(self) -> bool:
+        """Whether the formation is moved, by the mission or by the operator: where it stands in the end is open."""
+        return bool(self.moves) or any(step.lead is not None for step in self.spec.steps)
+
+    @cached_property
     def slowness(self) -> float:
         """How many times more gently points are approached because of the links' delay; 1 without any."""
         own = replace(self.profile, delay_s=slowest(self.vehicle_profiles).delay_s)

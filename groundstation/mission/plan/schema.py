@@ -29,6 +29,7 @@ Coordinate = Annotated[Number, Field(ge=-1_000_000, le=1_000_000)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Positive = Annotated[Number, Field(gt=0, le=10_000)]
 NotNegative = Annotated[Number, Field(ge=0, le=10_000)]
+_COMES_TO_REST_S = 2.0
 VEHICLE_IDS = range(1, 251)
 """System ids that a vehicle may have: 0 means everybody, those above are ground stations' and other programs'."""
 
@@ -148,6 +149,11 @@ class StepSpec(_Strict):
         """How it moves the formation as one; None where it does not."""
         return None
 
+    @property
+    def lead(self) -> LeadStep | None:
+        """What the operator may make of the formation; None where the mission alone moves it."""
+        return None
+
     def places_m(self) -> tuple[Point, ...]:
         """Where the middle of the team goes in a step that forms nothing, one place after the other."""
         return ()
@@ -208,6 +214,30 @@ class MoveStep(StepSpec):
     def longest_s(self, move_s: float) -> float:
         """As long as it says, or what a move between formations takes."""
         return move_s if self.seconds is None else self.seconds
+
+
+class LeadStep(StepSpec):
+    """Keep the formation, and move, turn and scale it as the operator says."""
+
+    kind: ClassVar[str] = "lead"
+    seconds: Positive = 60.0
+    smallest: Annotated[Number, Field(ge=0.1, le=10)] = 1.0
+    largest: Annotated[Number, Field(ge=0.1, le=10)] = 2.0
+
+    @model_validator(mode="after")
+    def _smallest_first(self) -> LeadStep:
+        if self.smallest > self.largest:
+            raise ValueError(f"smallest is {self.smallest:g} and largest {self.largest:g}; give the smaller one first")
+        return self
+
+    @property
+    def lead(self) -> LeadStep:
+        """As it says."""
+        return self
+
+    def longest_s(self, move_s: float) -> float:
+        """As long as it says, and what coming to rest takes."""
+        return self.seconds + _COMES_TO_REST_S
 
 
 class PlaceStep(StepSpec):
@@ -274,6 +304,7 @@ Step = Annotated[
     Annotated[FormStep, Tag("form")]
     | Annotated[HoldStep, Tag("hold")]
     | Annotated[MoveStep, Tag("move")]
+    | Annotated[LeadStep, Tag("lead")]
     | Annotated[HoverStep, Tag("hover")]
     | Annotated[GoToStep, Tag("go_to")]
     | Annotated[WaypointsStep, Tag("waypoints")],

@@ -19,17 +19,13 @@ from groundstation.core.assignment import assign_roles
 from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
-from groundstation.core.motion import MovePlan, least_seconds
+from groundstation.core.motion import MovePlan
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
 from groundstation.mission.plan.profiles import VehicleProfile
-from groundstation.mission.plan.schema import MissionSpec, MoveStep, ScaleSpec
-
-MOVE_SHARE = 0.5
-"""Share of the speed and acceleration limits that a move may ask for; the rest is for keeping the formation."""
-
-_LEAST_MOVE_S = 1.0
+from groundstation.mission.plan.schema import MissionSpec, ScaleSpec
+from groundstation.mission.plan.timed import timed
 
 
 @dataclass(frozen=True)
@@ -232,11 +228,11 @@ def check_order(spec: MissionSpec, source: str) -> None:
     Raises:
         UserError: with the step.
     """
-    formed = False
+    formed = led = False
     for number, step in enumerate(spec.steps):
         key = f"{source}: steps[{number}]"
         if step.form is not None:
-            formed = True
+            formed, led = True, False
             if spec.formation is None:
                 raise UserError(f"{source}: formation: is missing, give it a value: steps[{number}] forms one")
         elif not step.formed:
@@ -249,6 +245,13 @@ def check_order(spec: MissionSpec, source: str) -> None:
             raise UserError(
                 f"{key}: {step.kind} is of a formation, and steps[{number - 1}] leaves it; put a `form` step before it,"
                 " or hover"
+            )
+        elif step.lead is not None:
+            led = True
+        elif step.move is not None and led:
+            raise UserError(
+                f"{key}: nobody knows before the flight where and how large the operator leaves the formation; put a"
+                " `form` step before it"
             )
 
 
@@ -376,18 +379,12 @@ def plan_moves(
             together, turned = points, True
         elif step.move is not None:
             key = f"{source}: steps[{number}].{step.kind}"
-            move = _timed(step.move, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
+            move = timed(step.move, size * points, spec.speed_limit_m_s, acceleration_limit_m_s2, key)
             moves[number] = move
             size *= move.scale
-            radius = spec.avoidance.radius_m
-            shortest = size * shortest_m(stage.formation)
             if stage.scale.kind != "free":
                 least = min(least, region.room_m(all_offsets(size * points)))
-                if shortest <= radius:
-                    raise UserError(
-                        f"{key}.scale: {move.scale:g} brings two points to {shortest:.3g} m, minimum is more than"
-                        f" {radius:g} m (avoidance.radius_m); scale by more, or lower the radius"
-                    )
+                _check_smallest(spec, size * shortest_m(stage.formation), move.scale, f"{key}.scale")
                 check_radius(
                     f"{key}.scale",
                     {f"formation {stage.formation.name}": size * points},
@@ -399,6 +396,21 @@ def plan_moves(
             centre = centre + move.by_enu_m
             _check_fence(spec, size * points, centre, floor_m, key)
             together = size * points
+        elif step.lead is not None:
+            together = step.lead.largest * points
+            if stage.scale.kind != "free":
+                key = f"{source}: steps[{number}].{step.kind}.smallest"
+                smallest = step.lead.smallest * points
+                least = min(least, region.room_m(all_offsets(smallest)))
+                _check_smallest(spec, step.lead.smallest * shortest_m(stage.formation), step.lead.smallest, key)
+                check_radius(
+                    key,
+                    {f"formation {stage.formation.name}": smallest},
+                    region=region,
+                    position_error_m=position_error_m,
+                    positioning=positioning,
+                    others=places,
+                )
         elif not step.formed:
             flown_to[number] = np.array(step.places_m(), dtype=np.float64).reshape(-1, 3)
             for place_m in flown_to[number]:
@@ -416,29 +428,19 @@ def _places(spec: MissionSpec, stages: Sequence[Stage], stage_of_step: Sequence[
         stage = stages[stage_of_step[number]]
         size = 1.0 if step.form is not None else size * (step.move.scale if step.move is not None else 1.0)
         if stage.scale.kind != "free" or step.form is not None:
-            places[f"steps[{number}]"] = size * stage.formation.points_enu_m
+            smallest = size if step.lead is None else step.lead.smallest
+            places[f"steps[{number}]"] = smallest * stage.formation.points_enu_m
     return places
 
 
-def _timed(step: MoveStep, points_m: FloatArray, speed_limit_m_s: float, accel_m_s2: float, key: str) -> MovePlan:
-    """A move with its duration, which must leave the vehicles room to keep the formation."""
-    level = float(np.linalg.norm(points_m[:, :2], axis=1).max())
-    radius = float(np.linalg.norm(points_m, axis=1).max())
-    by = np.array(step.by_m, dtype=np.float64)
-    turn = math.radians(step.turn_deg)
-    if not by.any() and turn == 0.0 and step.scale == 1.0:
-        raise UserError(f"{key}: neither by_m, turn_deg nor scale is given; give one, or hold in its place")
-    move = MovePlan(by, turn, step.scale, step.seconds or 1.0)
-    least = least_seconds(move, level, radius, MOVE_SHARE * speed_limit_m_s, MOVE_SHARE * accel_m_s2)
-    if step.seconds is None:
-        return MovePlan(by, turn, step.scale, max(_LEAST_MOVE_S, math.ceil(10.0 * least) / 10.0))
-    if step.seconds < least - 1e-9:
+def _check_smallest(spec: MissionSpec, shortest: float, scale: float, key: str) -> None:
+    """Refuses a size at which two points come within r."""
+    radius = spec.avoidance.radius_m
+    if shortest <= radius:
         raise UserError(
-            f"{key}.seconds: {step.seconds:g} s is too short, at least {math.ceil(10.0 * least) / 10.0:g} s are needed"
-            f" with half of the speed limit of {speed_limit_m_s:g} m/s and half of the acceleration of"
-            f" {accel_m_s2:g} m/s^2; take more time, or leave it out"
+            f"{key}: {scale:g} brings two points to {shortest:.3g} m, minimum is more than"
+            f" {radius:g} m (avoidance.radius_m); scale by more, or lower the radius"
         )
-    return move
 
 
 def _check_fence(
