@@ -117,6 +117,19 @@ def _in_the_second_move(flight: Flight) -> bool:
     return sum("the middle of the team has moved" in note.text for note in flight.notes) == 1
 
 
+def _led(log: Path) -> Flight:
+    """The pair is led by the operator, who changes his mind once."""
+    steps = "steps=[{form: {tolerance_m: 0.4}}, {lead: {seconds: 20, largest: 1.1}}]"
+    orders = says(
+        (after(Phase.LEAD, 0.2), "turn -5"),
+        (after(Phase.LEAD, 0.4), "move 0.4 0 0.2"),
+        (after(Phase.LEAD, 1.5), "stay"),
+        (after(Phase.LEAD, 2.0), "scale 1.5"),
+        (after(Phase.LEAD, 2.2), "next"),
+    )
+    return Flight(pair(steps), log=log, interrupt_when=orders)
+
+
 def _under(faults: str, plan: MissionPlan, log: Path) -> Flight:
     """A flight under one of the timetables of faults that come along."""
     timetable = load_faults(packaged_configs() / "faults" / f"{faults}.yaml")
@@ -156,6 +169,7 @@ FLIGHTS: dict[str, Callable[[Path], Flight]] = {
     "silent": _silent,
     "taken_over": _taken_over,
     "moved_and_stopped": _moved_and_stopped,
+    "led": _led,
     "deaf": _deaf,
     "lossy": _lossy,
     "slow_link": _slow_link,
