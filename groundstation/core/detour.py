@@ -11,10 +11,12 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from groundstation.core.obstacles import Obstacle, Obstacles, clear_of
 from groundstation.core.types import BoolArray, FloatArray
 
 _AROUND = 14
 _MOST_OBSTACLES = 8
+_MOST_BODIES = 4
 _CLEAR = 1.03  # ways keep this many times the distance asked for, points lie at _BESIDE times
 _BESIDE = 1.12
 _LEFT = 0.1  # length added per metre that a point lies to the left: two agents head on both turn to their right
@@ -33,7 +35,13 @@ _SPREAD = _directions(_AROUND)
 
 
 def way_round(
-    goal_m: FloatArray, others_m: FloatArray, keep_out_m: float, low_m: FloatArray, high_m: FloatArray
+    goal_m: FloatArray,
+    others_m: FloatArray,
+    keep_out_m: float,
+    low_m: FloatArray,
+    high_m: FloatArray,
+    *,
+    obstacles: Obstacles | None = None,
 ) -> FloatArray | None:
     """Finds the shortest way to a point that keeps its distance from all others.
 
@@ -46,6 +54,7 @@ def way_round(
         keep_out_m: distance to keep from them, > 0.
         low_m: corner of the box that may be flown in, relative to the agent, shape (3,).
         high_m: its other corner.
+        obstacles: what stands in the way and is no agent, relative to the agent.
 
     Returns:
         Points to fly to one after the other, the goal last, shape (p, 3); None where there is no way.
@@ -55,8 +64,14 @@ def way_round(
     off = np.linalg.norm(others_m - along[:, None] * goal_m, axis=1)
     others = others_m[np.argsort(off, kind="stable")[:_MOST_OBSTACLES]]
     beside = (others[:, None] + _BESIDE * keep_out_m * _SPREAD[None]).reshape(-1, 3)
+    bodies = _on_the_way(obstacles, goal_m)
+    if obstacles is not None and bodies:
+        around = [body.around_m(obstacles.keep_m) for body in bodies]
+        beside = np.concatenate([beside, *around])
     inside = np.all((beside >= low_m) & (beside <= high_m), axis=1)
     clear = np.all(np.linalg.norm(beside[:, None] - others[None], axis=2) >= keep_m, axis=1)
+    if obstacles is not None and bodies:
+        clear &= clear_of(bodies, beside, _CLEAR * obstacles.keep_m)
     nodes = np.concatenate([np.zeros((1, 3)), goal_m[None], beside[inside & clear]])
     first, second = np.triu_indices(len(nodes), 1)
     length = np.linalg.norm(nodes[second] - nodes[first], axis=1)
@@ -65,6 +80,12 @@ def way_round(
     free = _clear_of(nodes[first], nodes[second], others, np.where((second == 1)[:, None], at_goal, limit))
     ends = first == 1  # from the goal on: edges are looked at from the smaller index
     free[ends] = _clear_of(nodes[first[ends]], nodes[second[ends]], others, at_goal[None])
+    if obstacles is not None:
+        for body in bodies:
+            # Whoever is nearer already may leave, and come back to a place that is nearer.
+            most_m = 0.98 * float(body.gauge_m(nodes[:2]).min())
+            if most_m > 0.0:
+                free &= ~body.crossed(nodes[first], nodes[second], min(_CLEAR * obstacles.keep_m, most_m))
     left = np.array([-goal_m[1], goal_m[0], 0.0])
     left /= max(float(np.linalg.norm(left)), 1e-9)
     detour = _LEFT * np.maximum(nodes @ left, 0.0)
@@ -78,6 +99,15 @@ def way_round(
         way.append(nodes[node])
         node = int(before[0, node])
     return np.array(way[::-1])
+
+
+def _on_the_way(obstacles: Obstacles | None, goal_m: FloatArray) -> list[Obstacle]:
+    """The obstacles that are nearest to the straight way."""
+    if obstacles is None:
+        return []
+    way_m = np.linspace(0.0, 1.0, 16)[:, None] * goal_m
+    off_m = [float(body.gauge_m(way_m).min()) for body in obstacles.bodies]
+    return [obstacles.bodies[k] for k in np.argsort(off_m, kind="stable")[:_MOST_BODIES].tolist()]
 
 
 def _clear_of(start_m: FloatArray, end_m: FloatArray, others_m: FloatArray, limit_m: FloatArray) -> BoolArray:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.core.detour import back_off, way_round
+from groundstation.core.obstacles import Obstacles
 from groundstation.core.places import Places
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
@@ -96,6 +97,8 @@ class Sensed:
         in_the_way: j bounds or blocks what i wishes, shape (n, n).
         low_m: corner of the box that may be flown in, relative to each agent, shape (n, 3).
         high_m: its other corner.
+        walled: an obstacle bounds what i wishes, shape (n,); None where there are none.
+        pos_m: own place in the axes in which obstacles are known, shape (n, 3); None where there are none.
     """
 
     rel_m: FloatArray
@@ -105,6 +108,8 @@ class Sensed:
     in_the_way: BoolArray
     low_m: FloatArray
     high_m: FloatArray
+    walled: BoolArray | None = None
+    pos_m: FloatArray | None = None
 
 
 class Gridlocks:
@@ -113,6 +118,7 @@ class Gridlocks:
     Args:
         n: number of agents.
         params: see there.
+        obstacles: what stands in the way and is no agent.
 
     Attributes:
         locked: agents that are locked in, shape (n,).
@@ -120,8 +126,9 @@ class Gridlocks:
         detours: agents on a detour or backing off, shape (n,).
     """
 
-    def __init__(self, n: int, params: GridlockParams) -> None:
+    def __init__(self, n: int, params: GridlockParams, obstacles: Obstacles | None = None) -> None:
         self.params = params
+        self._obstacles = obstacles if obstacles is not None and len(obstacles) else None
         self._n = n
         self.forget()
 
@@ -134,6 +141,7 @@ class Gridlocks:
         self._wish: FloatArray = np.zeros((n, 3))
         self._vel: FloatArray = np.zeros((n, 3))
         self._held: FloatArray = np.zeros((n, n))
+        self._walled: FloatArray = np.zeros(n)
         self._stuck_s: FloatArray = np.zeros(n)
         self._pause_s: FloatArray = np.zeros(n)
         self._undo_s: FloatArray = np.zeros((n, n))
@@ -172,11 +180,13 @@ class Gridlocks:
         self._wish = keep * self._wish + (1.0 - keep) * sensed.wish_m_s
         self._vel = keep * self._vel + (1.0 - keep) * np.where(np.isfinite(sensed.vel_m_s), sensed.vel_m_s, 0.0)
         self._held = keep * self._held + (1.0 - keep) * (sensed.in_the_way & sensed.visible)
+        if sensed.walled is not None:
+            self._walled = keep * self._walled + (1.0 - keep) * sensed.walled
         square = (self._wish * self._wish).sum(axis=1)
         along = (self._vel * self._wish).sum(axis=1)
         stuck = square > (params.least_wish * params.speed_limit_m_s) ** 2
         stuck &= along < params.progress * square
-        stuck &= (self._held.max(axis=1) > _IN_THE_WAY) & ~absent
+        stuck &= (np.maximum(self._held.max(axis=1), self._walled) > _IN_THE_WAY) & ~absent
         self.detours &= ~absent
         self._stuck_s = np.where(stuck, self._stuck_s + params.tick_s, 0.0)
         locked = self._stuck_s >= params.patience_s
@@ -251,7 +261,12 @@ class Gridlocks:
             if self.detours[holders].any() and not self.detours[i]:
                 continue
             others = sensed.rel_m[i][sensed.visible[i]]
-            way = way_round(to_goal_m[i], others, self.params.keep_out_m, sensed.low_m[i], sensed.high_m[i])
+            bodies = None
+            if self._obstacles is not None and sensed.pos_m is not None:
+                bodies = self._obstacles.seen_from(sensed.pos_m[i])
+            way = way_round(
+                to_goal_m[i], others, self.params.keep_out_m, sensed.low_m[i], sensed.high_m[i], obstacles=bodies
+            )
             if way is not None and self._tries[i] % 3 < 2:
                 self._send(i, way)
                 return [i]

@@ -93,6 +93,7 @@ class FormationFlight:
                 tick_s=1.0 / plan.spec.rate_hz,
                 settle_s=guide.settle_s,
             ),
+            plan.obstacles,
         )
 
     @property
@@ -349,5 +350,6 @@ class FormationFlight:
         self._now.figures.locked_in(detours=len(sent))
         if sent:
             others = ", ".join(str(ids[k]) for k in sent[1:])
-            text = f"vehicle {ids[sent[0]]} is locked in: it goes round the others"
+            what = "what is in its way" if len(self._plan.obstacles) else "the others"
+            text = f"vehicle {ids[sent[0]]} is locked in: it goes round {what}"
             self._now.note("info", text if not others else f"{text}, and {others} back off", ())

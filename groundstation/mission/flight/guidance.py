@@ -32,6 +32,7 @@ from groundstation.mission.flight.poses import OncePerPoses, Poses
 from groundstation.mission.flight.surroundings import Surroundings
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.positioning import DEVIATIONS
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.plan.schema import AvoidanceSpec
 from groundstation.mission.plan.stages import Stage
@@ -285,6 +286,22 @@ class Guide:
         shown = (under & views.visible)[..., None]
         return replace(views, rel_pos_flu_m=np.where(shown, level_flu_m, views.rel_pos_flu_m))
 
+    def _standing_in_the_way(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors towards each obstacle, NED, shape (n, k, 3), and how fast agents may fly along them, m/s.
+
+        As the damper bounds who flies towards a vehicle that nobody steers: an obstacle does its half of nothing, so
+        an agent does both, and what it moves already counts (docs/avoidance-why.md).
+        """
+        obstacles, damper = self._plan.obstacles, self._damper
+        if not len(obstacles):
+            return np.zeros((self._plan.size, 0, 3)), np.zeros((self._plan.size, 0))
+        left_m, away_enu = obstacles.distances(frames.enu_from_ned(poses.pos_team_ned_m))
+        towards_ned = -frames.ned_from_enu(away_enu)
+        closing_m_s = np.maximum((towards_ned * poses.vel_ned_m_s[:, None]).sum(axis=2), 0.0)
+        poor_m_s = DEVIATIONS * poses.vel_error_m_s[:, None]
+        left_m = left_m - obstacles.keep_m - damper.horizon_s * (closing_m_s + poor_m_s)
+        return towards_ned, np.maximum(damper.rate_1_s * left_m, -damper.speed_limit_m_s)
+
     def _everybody(self, columns: NDArray[_T], visible: BoolArray, who: IntArray | None) -> NDArray[_T]:
         """Columns of those who are near as columns of everybody; as they are where they are that already."""
         if who is None:
@@ -326,12 +343,18 @@ class Guide:
         if flee_ned_m_s is not None:
             flee_flu_m_s = frames.rotate_back(rot_ned_from_flu, flee_ned_m_s)
             wish_flu_m_s = np.where(np.isfinite(flee_flu_m_s), flee_flu_m_s, wish_flu_m_s)
+        towards_ned, most_m_s = self._standing_in_the_way(poses)
+        walled = None
+        if len(self._plan.obstacles):
+            wish_ned_m_s = frames.rotate(rot_ned_from_flu, wish_flu_m_s)
+            walled = ((towards_ned * wish_ned_m_s[:, None]).sum(axis=2) > most_m_s).any(axis=1)
         common_flu, room = None, 1.0
         if common_enu_m_s is None:
             avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = avoided.vel_flu_m_s
         else:
-            room = _room(frames.ned_from_enu(common_enu_m_s), low_m_s, high_m_s)
+            common_ned = frames.ned_from_enu(common_enu_m_s)
+            room = _room(common_ned, low_m_s, high_m_s, towards_ned, most_m_s)
             common_flu = _flu_from_enu(poses, room * common_enu_m_s)
             # Directions count from the common motion, which changes no distance; both together keep the speed limit.
             left = np.maximum(speed_max - norms(common_flu), 0.1 * speed_max)
@@ -340,6 +363,10 @@ class Guide:
             avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)
         normals_flu, bounds_m_s = walls(rot_ned_from_flu, low_m_s, high_m_s)
+        if len(self._plan.obstacles):
+            towards_flu = frames.rotate_back(rot_ned_from_flu[:, None], towards_ned)
+            normals_flu = np.concatenate([normals_flu, towards_flu], axis=1)
+            bounds_m_s = np.concatenate([bounds_m_s, most_m_s], axis=1)
         guarded = views if method is None or method.damps else alone(views)
         damped = damp(guarded, wanted_flu_m_s, self._damper, normals_flu, bounds_m_s, common_flu_m_s=common_flu)
         vel_ned_m_s = apply_limits(
@@ -362,15 +389,27 @@ class Guide:
             in_the_way=self._everybody(avoided.in_the_way | damped.in_the_way, views.visible, who),
             low_m=np.minimum(*corners) - pos_enu_m,
             high_m=np.maximum(*corners) - pos_enu_m,
+            walled=walled,
+            pos_m=pos_enu_m if walled is not None else None,
         )
         return Setpoints(vel_ned_m_s, avoided.blocked | damped.held, sensed, room)
 
 
-def _room(common_ned_m_s: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> float:
-    """Share of the common motion that no wall forbids to anybody: one who stops would be run into."""
+def _room(
+    common_ned_m_s: FloatArray,
+    low_m_s: FloatArray,
+    high_m_s: FloatArray,
+    towards_ned: FloatArray,
+    most_m_s: FloatArray,
+) -> float:
+    """Share of the common motion that no wall or obstacle forbids to anybody: one who stops would be run into."""
     towards = np.maximum(common_ned_m_s, 0.0) / np.maximum(high_m_s, 1e-6)
     towards = np.maximum(towards, np.maximum(-common_ned_m_s, 0.0) / np.maximum(low_m_s, 1e-6))
-    return 1.0 / max(1.0, float(towards.max()))
+    largest = float(towards.max())
+    if most_m_s.size:
+        closing = np.maximum((towards_ned * common_ned_m_s[:, None]).sum(axis=2), 0.0)
+        largest = max(largest, float((closing / np.maximum(most_m_s, 1e-6)).max()))
+    return 1.0 / max(1.0, largest)
 
 
 def _enu_from_flu(poses: Poses, vector_flu: FloatArray) -> FloatArray:

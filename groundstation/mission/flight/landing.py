@@ -29,6 +29,7 @@ _ASK_AGAIN_NS = SECOND_NS  # heartbeats tell the mode once a second; asking fast
 _STILL_ARMED_NS = 5 * SECOND_NS  # autopilots disarm by themselves two seconds after landing
 LOST_S = 10.0
 """Who has said nothing for so long is not waited for."""
+_MISSED_M = 0.2  # by which a place to come down on may be missed, where an obstacle is beside it
 _HURRY = 0.5  # of the battery at which a vehicle lands where it is: it waits for no place any more
 
 
@@ -72,7 +73,8 @@ def landing_distances(plan: MissionPlan, beside_m: float, tolerance_m: float) ->
 def fence_box(plan: MissionPlan) -> Box:
     """The inside of a mission's fence, north and east."""
     fence = Fence.from_enu(np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m))
-    return Box(fence.min_team_ned_m[:2], fence.max_team_ned_m[:2])
+    obstacles = plan.obstacles if len(plan.obstacles) else None
+    return Box(fence.min_team_ned_m[:2], fence.max_team_ned_m[:2], obstacles, spare_m=_MISSED_M)
 
 
 class Landing:

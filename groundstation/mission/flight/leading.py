@@ -15,7 +15,7 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.motion import MovePlan
 from groundstation.core.types import FloatArray
-from groundstation.mission.flight.moving import Moving, beyond_fence
+from groundstation.mission.flight.moving import Moving, leads_astray
 from groundstation.mission.flight.step import Now, StepFlight, StepTick
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.schema import LeadStep
@@ -94,7 +94,7 @@ class Leading(StepFlight):
         pos_enu_m = frames.enu_from_ned(pos_team_ned_m)
         for earlier in before:
             pos_enu_m = earlier.carried(pos_enu_m)
-        outside = beyond_fence(plan, pos_enu_m, move, _WAY)
+        outside = leads_astray(plan, pos_enu_m, move, _WAY)
         if outside:
             return False, f"it {outside}"
         left_s = step.seconds - (now_ns - self._since_ns) / SECOND_NS

@@ -25,6 +25,7 @@ _MOVE_PATIENCE = 3.0  # times its duration, and _MOVE_SPARE_S, after which a mov
 _MOVE_SPARE_S = 10.0
 _FENCE_SPARE_M = 0.05
 _TICK_S = 0.02
+_MOST_LOOKS = 400
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ class Moving(StepFlight):
             return self._end(now, pos_enu_m)
         if now.now_ns - self._since_ns >= (_MOVE_PATIENCE * move.seconds + _MOVE_SPARE_S) * SECOND_NS:
             why = "a vehicle does not follow" if now.absent.any() else now.off
-            why = "the fence is in the way" if self._room < 1.0 else why
+            wall = "the fence or an obstacle" if len(flown.plan.obstacles) else "the fence"
+            why = f"{wall} is in the way" if self._room < 1.0 else why
             done = 100.0 * move.share(self._move_s)
             if not self._ends_early:
                 if move.scale != 1.0:
@@ -114,7 +116,7 @@ class Moving(StepFlight):
         """Notes where the team stands; returns why the move would end outside the fence, empty if it would not."""
         self._begun = True
         self._start = _Start(pos_enu_m.mean(axis=0), self._flown.size, self._sizes(now.poses))
-        outside = beyond_fence(self._flown.plan, pos_enu_m, self._move, self._way)
+        outside = leads_astray(self._flown.plan, pos_enu_m, self._move, self._way)
         if not outside and self._move.scale != 1.0:
             self._flown.tell_formation("changing")
         return outside
@@ -152,8 +154,8 @@ class Moving(StepFlight):
         return StepTick(done=True)
 
 
-def beyond_fence(plan: MissionPlan, pos_enu_m: FloatArray, move: MovePlan, way: Sequence[float]) -> str:
-    """Why a move would leave the fence, in words that follow its name; empty if it would not.
+def leads_astray(plan: MissionPlan, pos_enu_m: FloatArray, move: MovePlan, way: Sequence[float]) -> str:
+    """Why a move would leave the fence or come too near to an obstacle, in words that follow its name; empty if not.
 
     Args:
         plan: with the fence and the lowest height.
@@ -163,6 +165,10 @@ def beyond_fence(plan: MissionPlan, pos_enu_m: FloatArray, move: MovePlan, way: 
     """
     low, high = np.array(plan.spec.fence.min_m), np.array(plan.spec.fence.max_m)
     low[2] = max(low[2], plan.min_altitude_m)
+    if len(plan.obstacles):
+        into = _into_obstacle(plan, pos_enu_m, move)
+        if into:
+            return into
     allowed_m = np.full(pos_enu_m.shape, _FENCE_SPARE_M)
     if len(way) > 1:
         allowed_m = np.maximum(allowed_m, np.maximum(low - pos_enu_m, pos_enu_m - high) + 1e-3)
@@ -174,5 +180,23 @@ def beyond_fence(plan: MissionPlan, pos_enu_m: FloatArray, move: MovePlan, way: 
             return (
                 f"would take vehicle {plan.spec.vehicles[vehicle].id} to {'xyz'[axis]} = {end[vehicle, axis]:.2f} m,"
                 f" {beyond[vehicle, axis]:.2f} m beyond the fence or below min_altitude_m"
+            )
+    return ""
+
+
+def _into_obstacle(plan: MissionPlan, pos_enu_m: FloatArray, move: MovePlan) -> str:
+    """The same of obstacles, all along the way; empty if nobody comes too near to one."""
+    obstacles = plan.obstacles
+    radius_m = float(np.linalg.norm(pos_enu_m - pos_enu_m.mean(axis=0), axis=1).max()) * max(move.scale, 1.0)
+    way_m = float(np.linalg.norm(move.by_enu_m)) + (abs(move.turn_rad) + abs(float(np.log(move.scale)))) * radius_m
+    now_m, _ = obstacles.distances(pos_enu_m)
+    least_m = np.minimum(obstacles.keep_m - _FENCE_SPARE_M, now_m - 1e-3)  # who is nearer already comes no nearer
+    for share in np.linspace(0.0, 1.0, min(2 + int(4.0 * way_m / obstacles.keep_m), _MOST_LOOKS)):
+        distance_m, _ = obstacles.distances(move.carried(pos_enu_m, float(share)))
+        vehicle, body = (int(k) for k in np.unravel_index(int(np.argmin(distance_m - least_m)), distance_m.shape))
+        if not distance_m[vehicle, body] >= least_m[vehicle, body]:
+            return (
+                f"would take vehicle {plan.spec.vehicles[vehicle].id} to {distance_m[vehicle, body]:.2f} m from"
+                f" obstacle {obstacles.bodies[body].name}, minimum is {obstacles.keep_m:.2f} m"
             )
     return ""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.obstacles import Obstacles
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _RING_SHARE, _RINGS, _BEARINGS = 0.25, 40, 24
@@ -75,10 +76,20 @@ def taken_at(who: Sequence[int] | IntArray, at_m: FloatArray, clear_m: float | F
 
 @dataclass(frozen=True)
 class Box:
-    """The inside of the fence, north and east: corners, shape (2,)."""
+    """The inside of the fence, north and east: corners, shape (2,), and what stands in it."""
 
     low_m: FloatArray
     high_m: FloatArray
+    obstacles: Obstacles | None = None
+    """What stands there, ENU; places above it are none to come down on."""
+    spare_m: float = 0.0
+    """What is kept beside: whoever flies to such a place may miss it by so much."""
+
+    def free(self, places_m: FloatArray, spare_m: float = 0.0) -> BoolArray:
+        """Whether no obstacle is at or under places, north and east, shape (m, 2)."""
+        if self.obstacles is None:
+            return np.ones(len(places_m), dtype=np.bool_)
+        return np.asarray(self.obstacles.beside_m(places_m[:, ::-1]) >= self.obstacles.keep_m + spare_m, dtype=np.bool_)
 
     def near(self, start_m: FloatArray, step_m: float) -> FloatArray:
         """Places inside to be tried, the nearest to ``start_m`` first: rings around it, a grid, the corners."""
@@ -90,7 +101,9 @@ class Box:
         axes = (np.linspace(self.low_m[k], self.high_m[k], _GRID) for k in (0, 1))
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         places = np.concatenate([start_m[None], rings, grid])
-        places = places[((places >= self.low_m) & (places <= self.high_m)).all(axis=1)]
+        places = places[
+            ((places >= self.low_m) & (places <= self.high_m)).all(axis=1) & self.free(places, self.spare_m)
+        ]
         order = np.argsort(np.linalg.norm(places - start_m, axis=1), kind="stable")
         return np.asarray(places[order])
 
@@ -110,6 +123,8 @@ def farthest(start_m: FloatArray, taken: Taken, box: Box) -> tuple[FloatArray, f
     """
     places = box.near(start_m, _RING_SHARE * float(taken.clear_m.max(initial=0.0)) or 1.0)
     room_m = taken.room_m(places)
+    if not len(places):
+        return start_m, -np.inf
     best = int(np.argmax(room_m))
     return np.asarray(places[best]), float(room_m[best])
 
@@ -148,7 +163,7 @@ def allot(
     for vehicle in sorted(np.flatnonzero(movable).tolist(), key=lambda i: -float(start_ned_m[i, 2])):
         given = np.flatnonzero(np.isfinite(places[:, 0]))
         here = start_ned_m[vehicle, :2]
-        if taken.beside(taken_at(given, places, need_m)).in_the_way(here) is None:
+        if taken.beside(taken_at(given, places, need_m)).in_the_way(here) is None and box.free(here[None])[0]:
             places[vehicle] = here
             continue
         place = nearest_free(here, taken.wider(wish_m - need_m).beside(taken_at(given, places, wish_m)), box)

@@ -122,10 +122,13 @@ class Spots:
         who = taken.in_the_way(goal_m)
         aside_m = float(np.linalg.norm(scene.pos_ned_m[vehicle, :2] - goal_m))
         arrived = aside_m <= self._columns.distances.tolerance_m
-        if who is not None or self._is_late(vehicle, now_ns, scene, arrived=arrived):
+        # Above its pad preflight has looked: an obstacle may hang higher than it flies there.
+        at_home = float(np.linalg.norm(goal_m - self._columns.pads_ned_m[vehicle, :2])) < _SAME_M
+        covered = not (at_home or self._box.free(goal_m[None])[0])
+        if who is not None or covered or self._is_late(vehicle, now_ns, scene, arrived=arrived):
             if self._look.due(vehicle, now_ns):
                 self._look.asked(vehicle, now_ns)
-                self._look_elsewhere(vehicle, now_ns, scene, settled, who)
+                self._look_elsewhere(vehicle, now_ns, scene, settled, who, covered=covered)
             return False
         if not scene.wanted[vehicle] or not arrived:
             return False
@@ -168,13 +171,17 @@ class Spots:
         late_ns = _LOST_WAY_NS if self._roster.elsewhere[vehicle] else _LATE_HOME_NS
         return self._waited_ns(vehicle, now_ns) >= late_ns and not self._given.began(vehicle, now_ns, late_ns)
 
-    def _look_elsewhere(self, vehicle: int, now_ns: int, scene: Scene, settled: list[int], who: int | None) -> None:
+    def _look_elsewhere(
+        self, vehicle: int, now_ns: int, scene: Scene, settled: list[int], who: int | None, *, covered: bool
+    ) -> None:
         """Gives a vehicle the next place that is free, or lets it wait."""
-        place_m = self._next_place(vehicle, scene, settled, at_home=who is not None)
+        place_m = self._next_place(vehicle, scene, settled, at_home=who is not None or covered)
         impatient = scene.hurries[vehicle] or self._waited_ns(vehicle, now_ns) >= _PATIENCE_NS
-        if impatient and (place_m is None or who is None):
+        if impatient and (place_m is None or (who is None and not covered)):
             place_m = self._last_resort(vehicle, scene, settled)
         because = "its place was not clear in time"
+        if covered:
+            because = "an obstacle is where it would have landed"
         if who is not None:
             because = f"{self._stands(who)} where it would have landed"
         if place_m is None:
@@ -223,7 +230,7 @@ class Spots:
         self._columns.content_with_r(vehicle)
         here_m = scene.pos_ned_m[vehicle, :2]
         taken = self._columns.taken(vehicle, scene, here_m).beside(self._chosen(vehicle, settled, here_m))
-        if taken.in_the_way(here_m) is None:
+        if taken.in_the_way(here_m) is None and self._box.free(here_m[None])[0]:
             return np.asarray(here_m)
         place_m, room_m = farthest(here_m, taken, self._box)
         return place_m if room_m >= 0.0 else None

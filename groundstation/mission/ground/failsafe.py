@@ -191,6 +191,8 @@ def _against_returning(plan: MissionPlan, back: _Return) -> tuple[str, str] | No
     ceiling_m = spec.ceiling_m if spec.ceiling_m is not None else plan.spec.fence.max_m[2]
     if plan.size > 1 and (len(set(plan.stage_of_step)) > 1 or plan.moved or plan.places_enu_m):
         return "a mission of several formations, or with moves, leaves open who flies above whom", "let them hold"
+    if len(plan.obstacles):
+        return "autopilots that return by themselves know nothing of the mission's obstacles", "let them hold"
     radius_m = plan.spec.avoidance.radius_m
     stairs = np.argwhere(pads_above(plan.pads_enu_m, radius_m)).tolist()
     if stairs:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 from groundstation.core.formation import Formation
+from groundstation.core.obstacles import Obstacles
 from groundstation.core.regions import SafetyRegion, build_region
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.autopilot import Autopilot
@@ -81,6 +82,12 @@ class MissionPlan(LinkPlan, FormationPlan):
     def keep_out_margin_m(self) -> float:
         """What is added to r and d, as far as there is room: for positions that are off, and for gusts."""
         return grown_by_m(self.margin_m, self.gust_margin_m)
+
+    @cached_property
+    def obstacles(self) -> Obstacles:
+        """What stands in the way, team frame ENU, with r and what positions and gusts may take."""
+        bodies = tuple(given.body for given in self.spec.obstacles)
+        return Obstacles(bodies, self.spec.avoidance.radius_m + self.keep_out_margin_m)
 
     @cached_property
     def keep_place_1_s(self) -> float:

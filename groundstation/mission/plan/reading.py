@@ -22,6 +22,7 @@ from groundstation.design.store import (
     save_gains,
     to_formation,
 )
+from groundstation.mission.plan.in_the_way import check_obstacles
 from groundstation.mission.plan.judging import build_plan, check_acceleration, check_room_for_wind
 from groundstation.mission.plan.overrides import override_value
 from groundstation.mission.plan.own_code import CodeSource
@@ -77,6 +78,7 @@ def load_mission(path: Path, overrides: Sequence[str] = (), code: CodeSource | N
     check_own_code(plan)
     check_acceleration(plan)
     check_room_for_wind(plan)
+    check_obstacles(plan)
     return plan
 
 

@@ -23,12 +23,9 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from groundstation.core.findings import no_boolean
+from groundstation.mission.plan.fields import NotNegative, Number, Point, Positive
+from groundstation.mission.plan.obstacle_spec import ObstacleSpec
 
-Number = Annotated[float, BeforeValidator(no_boolean), Field(allow_inf_nan=False)]
-Coordinate = Annotated[Number, Field(ge=-1_000_000, le=1_000_000)]
-Point = tuple[Coordinate, Coordinate, Coordinate]
-Positive = Annotated[Number, Field(gt=0, le=10_000)]
-NotNegative = Annotated[Number, Field(ge=0, le=10_000)]
 _COMES_TO_REST_S = 2.0
 VEHICLE_IDS = range(1, 251)
 """System ids that a vehicle may have: 0 means everybody, those above are ground stations' and other programs'."""
@@ -470,6 +467,7 @@ class _CourseKeys(_FormationKeys):
     land: LandSpec = LandSpec()
     on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
+    obstacles: Annotated[tuple[ObstacleSpec, ...], Field(max_length=32)] = ()
     limits: LimitsSpec = LimitsSpec()
     wind: WindSpec = WindSpec()
     keep_place_1_s: Literal["auto"] | Annotated[Number, Field(ge=0, le=1)] = "auto"
