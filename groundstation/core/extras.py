@@ -13,6 +13,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "mavsdk": ("mavsdk",),
     "solvers": ("cvxpy",),
     "console": ("nicegui",),
+    "crazyflie": ("cflib",),
 }
 """Extra of this project: the packages that it brings, by the names that they are imported by."""
 

@@ -73,7 +73,7 @@ class Bridge:
         self._told: tuple[int, bool, int] = (-1, False, 0)
         self._trouble: str | None = None
         self._text_number = 0
-        self._flew = False
+        self._flew = self._ends = False
 
     @property
     def lateness_ns(self) -> int:
@@ -139,8 +139,12 @@ class Bridge:
         """Takes a datagram of MAVLink."""
         for piece in self._splitters.feed((0, ""), data, stream=False):
             if isinstance(piece, Frame):
-                for batch in decode([piece]):
-                    self._obey(batch.name, batch.values[0], now_ns)
+                self.take(piece, now_ns)
+
+    def take(self, frame: Frame, now_ns: int) -> None:
+        """Takes one frame of a ground station."""
+        for batch in decode([frame]):
+            self._obey(batch.name, batch.values[0], now_ns)
 
     def _obey(self, name: str, values: StructuredArray, now_ns: int) -> None:
         if name == "HEARTBEAT":
@@ -175,9 +179,12 @@ class Bridge:
 
     def _command(self, command: int, params: tuple[float, ...], now_ns: int) -> int:
         pilot = self.pilot
-        if self._heard_ns is None or now_ns - self._heard_ns > _SILENT_NS:
-            if command == 400 and params[0] == 0.0 and params[1] == _FORCE:
-                pilot.kill()  # said into the dark all the same
+        if command == 400 and params[0] == 0.0 and params[1] == _FORCE:
+            pilot.kill()  # also into the dark, and to the last moment
+            return ACCEPTED if self._heard(now_ns) else FAILED
+        if self._ends:
+            return self._say("its gateway ends, and takes no more orders")
+        if not self._heard(now_ns):
             return FAILED
         if command == 400:
             return self._arm(params, now_ns)
@@ -207,9 +214,6 @@ class Bridge:
             return self._say(self.pilot.arm(self.trouble(now_ns)))
         if params[0] != 0.0:
             return DENIED
-        if params[1] == _FORCE:
-            self.pilot.kill()
-            return ACCEPTED
         return self._say(None if self.pilot.disarm() else "is in the air, and disarms by force only")
 
     def _mode(self, params: tuple[float, ...], now_ns: int) -> int:
@@ -218,7 +222,7 @@ class Bridge:
             if self.pilot.mode is Mode.OUT:
                 return DENIED
             if self.pilot.mode is not Mode.VELOCITY:
-                self.pilot.follow()
+                self.pilot.follow(now_ns)
             return ACCEPTED
         if mode == Mode.STAND:
             return self._say(None if self.pilot.stand() else "is in the air")
@@ -255,13 +259,19 @@ class Bridge:
         if words is not None:
             self._text(_WARNING if self.pilot.failsafe else _INFO, words)
         self._frames += self._params.due()
-        if self._heard_ns is None or now_ns - self._heard_ns > _SILENT_NS:
+        if not self._heard(now_ns):
             return
         self._tell_changes(now_ns)
         for name in _STREAMS_HZ:
             if self._period_ns[name] >= 0 and now_ns >= self._next_ns[name]:
                 self._next_ns[name] = max(self._next_ns[name] + self._period_ns[name], now_ns)
                 self._tell(name, now_ns)
+
+    def end(self, now_ns: int) -> None:
+        """Lands it if it flies; from now on it obeys nothing but a kill."""
+        self._ends = True
+        if self.pilot.supervisor.flies:
+            self.pilot.land(now_ns, failsafe=True)
 
     def take_frames(self) -> list[bytes]:
         """Hands out what is to be sent to ground stations."""
@@ -273,11 +283,14 @@ class Bridge:
         orders, self.pilot.orders = self.pilot.orders, []
         return orders
 
+    def _heard(self, now_ns: int) -> bool:
+        return self._heard_ns is not None and now_ns - self._heard_ns <= _SILENT_NS
+
     # -- what it tells ------------------------------------------------------------------------------------------
 
     def trouble(self, now_ns: int) -> str | None:
         """Why it would not be armed now, None when it would."""
-        if self._heard_ns is None or now_ns - self._heard_ns > _SILENT_NS:
+        if not self._heard(now_ns):
             return "is not heard"
         if self._protocol is not None and self._protocol < _OLDEST_PROTOCOL:
             return f"speaks CRTP version {self._protocol}, {_OLDEST_PROTOCOL} is needed; update its firmware"

@@ -128,8 +128,10 @@ class Pilot:
         self._climbs_until_ns = 0
         self.orders += [EmergencyStop()] * 3  # each may be lost
 
-    def follow(self) -> None:
-        """Follows velocities from now on."""
+    def follow(self, now_ns: int) -> None:
+        """Follows velocities from now on; one that was on its way down stays where it is until one comes."""
+        if self.supervisor.flies and self.mode in (Mode.LAND, Mode.RETURN):
+            self._stay(now_ns, failsafe=False)
         self.mode, self.failsafe, self._legs, self._velocity = Mode.VELOCITY, False, [], None
 
     def stand(self) -> bool:

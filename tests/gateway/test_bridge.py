@@ -125,6 +125,33 @@ def test_lands_by_command_and_ignores_setpoints_meanwhile() -> None:
     assert not room.last("HEARTBEAT")["base_mode"] & 0x80
 
 
+def test_a_landing_that_is_taken_back_stays_where_it_is_until_a_velocity_comes() -> None:
+    room = Room()
+    room.fly()
+    assert room.command(21) == 0
+    room.run(1.0)
+    assert room.command(176, 1.0, VELOCITY) == 0
+    room.run(3.0)
+    height_m = room.place_enu_m[2]
+    assert height_m > 0.3
+    room.run(3.0)
+    assert room.place_enu_m[2] == pytest.approx(height_m, abs=0.03)
+
+
+def test_a_gateway_that_ends_lands_it_and_obeys_nothing_but_a_kill() -> None:
+    room = Room()
+    room.fly()
+    room.bridge.end(room.now_ns)
+    assert room.command(176, 1.0, VELOCITY) == 2
+    room.setpoint = (0.0, 0.0, -0.5, None)
+    room.run(5.0)
+    assert not room.world.truth.airborne[0]
+    assert room.command(400, 1.0) == 2
+    assert room.command(400, 0.0, 21196.0) == 0
+    room.run(0.5)
+    assert room.stage == "LOCKED"
+
+
 def test_what_is_asked_for_on_the_ground_starts_no_motors() -> None:
     room = Room()
     room.setpoint = (0.0, 0.0, -0.5, None)

@@ -26,6 +26,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "gs design mine.yaml --suggest-graph balanced --graph-file mine-graph.yaml",
     ),
     "sitl": ("gs sitl --vehicles 8 --autopilot px4 --noise mocap",),
+    "gateway": (
+        "gs gateway crazyflie -v 1=udp://127.0.0.1:19850 -v 2=udp://127.0.0.1:19851",
+        "gs gateway crazyflie -v 1=radio://0/80/2M/E7E7E7E701 -v 2=radio://0/80/2M/E7E7E7E702 --budget",
+    ),
     "sitl-env": ("gs sitl-env px4_cube8",),
     "replay": ("gs replay flights/cube8-seed0 --verify",),
     "report": ("gs report flights/cube8-seed0 -o report --also svg",),

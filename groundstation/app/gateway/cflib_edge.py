@@ -1,0 +1,253 @@
+"""Crazyflies by cflib: its threads put what they hear into an inbox, a thread for each vehicle sends what it is told.
+
+A radio takes one packet at a time and may make whoever sends wait: so no vehicle's sending holds up another's, and of
+velocities only the newest waits. Refuses to decide anything. Of cflib's ``close_link`` it makes no use in the air: that
+sends a setpoint with which motors stop.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cflib.crtp
+from cflib.crazyflie import Crazyflie
+from cflib.crazyflie.log import LogConfig
+
+from groundstation.gateway.measured import POSE_VARIABLES, STATUS_VARIABLES
+from groundstation.gateway.orders import (
+    Arm,
+    EmergencyStop,
+    GoTo,
+    HighLevelStop,
+    LandAt,
+    Order,
+    SetParam,
+    SetpointsStop,
+    TakeOff,
+    Velocity,
+)
+
+_STATUS_MS = 500
+_VALID_MS = 100
+_KINDS = {
+    "uint8_t": 1, "int8_t": 2, "uint16_t": 3, "int16_t": 4, "uint32_t": 5, "int32_t": 6, "float": 9, "FP16": 9,
+    "double": 9, "uint64_t": 9, "int64_t": 9,
+}  # fmt: skip
+_DEGREES = 57.29577951308232
+_OLD_S = 0.5
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a thread of cflib has to tell.
+
+    Attributes:
+        vehicle: number of the vehicle.
+        kind: log, param, connected, lost.
+        values: log variables by full name; of a parameter, its one value.
+        stamp_ms: of a log packet.
+        protocol: version of CRTP, when connected.
+        params: full name: value, MAV_PARAM_TYPE, when connected.
+        words: why it is lost.
+    """
+
+    vehicle: int
+    kind: str
+    values: dict[str, float] = field(default_factory=dict)
+    stamp_ms: int = 0
+    protocol: int = 0
+    params: dict[str, tuple[float, int]] = field(default_factory=dict)
+    words: str = ""
+
+
+class Inbox:
+    """What threads have heard, for the one loop that waits; it may be waited on like a link."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Heard] = deque()
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._read, False)
+        os.set_blocking(self._write, False)
+
+    def sources(self) -> Sequence[int]:
+        """A descriptor that can be read when something has come."""
+        return (self._read,)
+
+    def put(self, heard: Heard) -> None:
+        """Takes something, in any thread."""
+        self._waiting.append(heard)
+        with suppress(OSError):  # full: the loop will look anyway; closed: nobody will
+            os.write(self._write, b".")
+
+    def take(self) -> list[Heard]:
+        """Hands out what has come."""
+        with suppress(BlockingIOError):
+            os.read(self._read, 65536)
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
+
+    def close(self) -> None:
+        """Gives the descriptors back."""
+        os.close(self._read)
+        os.close(self._write)
+
+
+class CflibVehicle:
+    """One vehicle.
+
+    Args:
+        number: by which it is named in the inbox.
+        uri: as cflib writes it.
+        inbox: where what is heard goes.
+        cache: folder in which tables are kept.
+        pose_hz: poses a second that are logged.
+    """
+
+    def __init__(self, number: int, uri: str, inbox: Inbox, cache: Path, pose_hz: float) -> None:
+        self.uri = uri
+        self._number, self._inbox, self._cache = number, inbox, cache
+        self._period_ms = 10 * max(1, round(100.0 / pose_hz))
+        self._cf: Crazyflie | None = None
+        self._orders: deque[tuple[float, Order]] = deque()
+        self._velocity: tuple[float, Velocity] | None = None
+        self._news = threading.Condition()
+        self._ends = False
+        threading.Thread(target=self._send_all, name=f"sends to {uri}", daemon=True).start()
+
+    def connect(self) -> None:
+        """Begins to connect; how that ends comes by the inbox."""
+        threading.Thread(target=self._open, name=f"connects {self.uri}", daemon=True).start()
+
+    def obey(self, order: Order) -> None:
+        """Takes an order, in their sequence; a velocity that waits is replaced by a newer one."""
+        now_s = time.monotonic()
+        with self._news:
+            if isinstance(order, Velocity):
+                self._velocity = now_s, order
+            elif isinstance(order, EmergencyStop):
+                self._velocity = None
+                self._orders.appendleft((now_s, order))
+            else:
+                if isinstance(order, SetpointsStop):
+                    self._velocity = None  # it would outrank what follows
+                self._orders.append((now_s, order))
+            self._news.notify()
+
+    def close(self, *, flies: bool) -> None:
+        """Ends the connection; one that flies gets no last setpoint."""
+        with self._news:
+            self._ends = True
+            self._news.notify()
+        cf, self._cf = self._cf, None
+        if cf is None:
+            return
+        with suppress(Exception):  # cflib raises whatever its drivers raise
+            if not flies:
+                cf.close_link()
+            elif cf.link is not None:
+                cf.link.close()
+
+    def _open(self) -> None:
+        old, self._cf = self._cf, None
+        if old is not None and old.link is not None:
+            with suppress(Exception):
+                old.link.close()
+        cf = Crazyflie(rw_cache=str(self._cache))
+        cf.connected.add_callback(lambda _uri: self._log(cf))
+        cf.fully_connected.add_callback(lambda _uri: self._ready(cf))
+        for ended in (cf.connection_failed, cf.connection_lost):
+            ended.add_callback(lambda _uri, words: self._lost(cf, str(words)))
+        self._cf = cf
+        cf.open_link(self.uri)
+
+    def _log(self, cf: Crazyflie) -> None:
+        for name, period_ms, variables in (
+            ("pose", self._period_ms, POSE_VARIABLES),
+            ("status", _STATUS_MS, STATUS_VARIABLES),
+        ):
+            block = LogConfig(name, period_ms)
+            for variable in variables:
+                if cf.log.toc.get_element_by_complete_name(variable) is None:
+                    self._lost(cf, f"its firmware has no log variable {variable}; update it")
+                    return
+                block.add_variable(variable)
+            cf.log.add_config(block)
+            block.data_received_cb.add_callback(self._logged)
+            block.start()
+
+    def _logged(self, stamp_ms: int, values: dict[str, float], _block: object) -> None:
+        self._inbox.put(Heard(self._number, "log", values=values, stamp_ms=stamp_ms))
+
+    def _ready(self, cf: Crazyflie) -> None:
+        params = {}
+        for group, names in cf.param.toc.toc.items():
+            for name, element in names.items():
+                params[f"{group}.{name}"] = (float(cf.param.values[group][name]), _KINDS.get(element.ctype, 9))
+        self._inbox.put(Heard(self._number, "connected", protocol=cf.platform.get_protocol_version(), params=params))
+        cf.param.add_update_callback(cb=self._param)
+
+    def _param(self, name: str, value: str) -> None:
+        self._inbox.put(Heard(self._number, "param", values={name: float(value)}))
+
+    def _lost(self, cf: Crazyflie, words: str) -> None:
+        if cf is self._cf:
+            self._inbox.put(Heard(self._number, "lost", words=words.strip().splitlines()[0] if words.strip() else ""))
+
+    def _send_all(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._ends or self._orders or self._velocity is not None)
+                if self._ends:
+                    return
+                if self._orders:
+                    asked_s, order = self._orders.popleft()
+                else:
+                    assert self._velocity is not None  # noqa: S101 - by the condition
+                    asked_s, order = self._velocity
+                    self._velocity = None
+            cf = self._cf
+            moves = isinstance(order, Velocity | TakeOff | GoTo)
+            if cf is None or (moves and time.monotonic() - asked_s > _OLD_S):
+                continue  # somebody may have gone near in the meantime
+            try:
+                send(cf, order)
+            except Exception as error:  # cflib raises whatever its drivers raise; the others fly on
+                self._lost(cf, f"{type(error).__name__}: {error}")
+
+
+def send(cf: Crazyflie, order: Order) -> None:
+    """Sends one order by cflib's own words."""
+    high = cf.high_level_commander
+    match order:
+        case Velocity((x, y, z), rate):
+            cf.commander.send_velocity_world_setpoint(x, y, z, rate * _DEGREES)
+        case SetpointsStop():
+            cf.commander.send_notify_setpoint_stop(_VALID_MS)
+        case TakeOff(height_m, duration_s):
+            high.takeoff(height_m, duration_s, yaw=None)
+        case LandAt(height_m, duration_s):
+            high.land(height_m, duration_s, yaw=None)
+        case GoTo((x, y, z), relative, yaw, duration_s):
+            high.go_to(x, y, z, 0.0 if relative else yaw, duration_s, relative=relative)
+        case HighLevelStop():
+            high.stop()
+        case Arm(arm):
+            cf.supervisor.send_arming_request(arm)
+        case EmergencyStop():
+            cf.supervisor.send_emergency_stop()
+        case SetParam(name, value):
+            with suppress(KeyError, AttributeError, struct.error, OverflowError, ValueError):
+                cf.param.set_value(name, value)
+
+
+def start_drivers() -> None:
+    """Loads cflib's drivers, once."""
+    if not cflib.crtp.CLASSES:
+        cflib.crtp.init_drivers()
