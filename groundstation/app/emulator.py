@@ -128,6 +128,12 @@ def served_world(plan: MissionPlan, seed: int, faults: Sequence[Fault] = ()) -> 
     Raises:
         UserError: the links are of kinds, or on ports, that the emulator's sockets do not reach.
     """
+    for number, vehicle in enumerate(plan.spec.vehicles):
+        if vehicle.autopilot in BEHIND_A_GATEWAY:
+            raise UserError(
+                f"{plan.source}: vehicles[{number}].autopilot: {vehicle.autopilot} speaks no MAVLink over --udp; leave"
+                " it out, or run gs sitl --autopilot and gs gateway in terminals of their own"
+            )
     ports, tcp_port = _ports(plan)
     port_per_vehicle = len(set(ports)) > 1
     stop = Event()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.app.emulator import world_config
+from groundstation.app.emulator import served_world, world_config
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
 from tests.app.flights import Flight, mission
@@ -24,3 +24,11 @@ def test_the_lab_cube_is_flown_and_replays_to_the_same_setpoints(tmp_path: Path)
 def test_a_pad_for_an_origin_is_refused() -> None:
     with pytest.raises(UserError, match="write origin: team"):
         world_config(mission("lab_cube8", "vehicles.3.origin=pad"))
+
+
+def test_over_udp_an_emulated_team_of_them_needs_a_gateway_of_its_own() -> None:
+    with (
+        pytest.raises(UserError, match="run gs sitl --autopilot and gs gateway"),
+        served_world(mission("lab_cube8"), 1),
+    ):
+        pass

@@ -22,6 +22,7 @@ from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.campaign.plot import Plot
 from groundstation.app.campaign.words import NOTHING_FOUND, TOUCHDOWN_MAX_M_S, Witness
 from groundstation.app.emulator import TruthMeter, world_config
+from groundstation.app.gateway.emulated import GatewayWorld
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.session import Session
@@ -171,7 +172,7 @@ class _Flown:
             try:
                 fly_virtual(
                     flight.session,
-                    self._world,
+                    GatewayWorld(self._world),
                     period_ns=round(SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
                     interrupts=self._interrupts,
