@@ -154,7 +154,8 @@ class Block:
             values = self._window(shape.size)[self.payload[rows]]
             size = self.payload_size[rows]
             sizes = size.tolist()
-            least, most = min(sizes), max(sizes)
+            # A newer dialect appends fields that this one does not know: what is past the size is not in the window.
+            least, most = min(sizes), min(max(sizes), shape.size)
             if least < shape.size:  # the rest was cut off, or never sent: it reads as zeros
                 raw = values.view(np.uint8).reshape(len(rows), shape.size)
                 raw[:, most:] = 0
