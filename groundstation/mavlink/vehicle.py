@@ -544,7 +544,7 @@ class Fleet:
         position, velocity, number = both[:, :3], both[:, 3:], finite_rows(both)
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid: BoolArray = number & fresh
-        self._compare_places(position, velocity, row, t_ns, number)
+        self._compare_places(both, row, t_ns, number, valid)
         if not every(valid):
             self._count("position that is not a number", int((~number).sum()))
             position, velocity, row, measured_ns = position[valid], velocity[valid], row[valid], measured_ns[valid]
@@ -554,16 +554,24 @@ class Fleet:
         return valid
 
     def _compare_places(
-        self, position: FloatArray, velocity: FloatArray, row: IntArray, t_ns: IntArray, number: BoolArray
+        self, both: FloatArray, row: IntArray, t_ns: IntArray, number: BoolArray, valid: BoolArray
     ) -> None:
-        """Looks for positions that are not on the way of the one before: those of one vehicle are, late ones too."""
-        away = norms(position - self.pos_local_ned_m[row])
-        if not some(away > _TWO_PLACES_M):
+        """Looks for positions that are not on the way of the one before: those of one vehicle are, late ones too.
+
+        Many of one vehicle may come at once: each is compared with the last before it, since one jump is one.
+        """
+        before = np.hstack([self.pos_local_ned_m[row], self.vel_ned_m_s[row]])
+        if not some(norms(both[:, :3] - before[:, :3]) > _TWO_PLACES_M):
             return
-        speed = norms(velocity) + norms(self.vel_ned_m_s[row])
-        soon = t_ns - self.pose_ns[row] < _FRESH_NS
-        for k in (number & soon & (away > _TWO_PLACES_M + speed)).nonzero()[0].tolist():
-            self.senders.other_place(int(row[k]), int(t_ns[k]))
+        last: dict[int, tuple[FloatArray, int]] = {}
+        for k in number.nonzero()[0].tolist():
+            vehicle, here, now_ns = int(row[k]), both[k], int(t_ns[k])
+            there, there_ns = last.get(vehicle, (before[k], int(self.pose_ns[vehicle])))
+            away, speed = norms(here[:3] - there[:3]), norms(here[3:]) + norms(there[3:])
+            if now_ns - there_ns < _FRESH_NS and away > _TWO_PLACES_M + speed:
+                self.senders.other_place(vehicle, now_ns)
+            if valid[k]:
+                last[vehicle] = (here, now_ns)
 
     def _global_position(self, batch: Batch, row: IntArray, t_ns: IntArray) -> BoolArray:
         values = batch.values

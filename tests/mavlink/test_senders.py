@@ -317,6 +317,18 @@ def test_positions_of_two_whose_clocks_are_alike_are_told() -> None:
     assert "their positions alternate" in told
 
 
+def test_one_jump_before_many_positions_that_arrive_at_once_is_no_second_sender() -> None:
+    """Seen of PX4 1.16 on a busy computer: its origin was set, and 15 positions came in one datagram."""
+    for apart_m, found in ((5.0, False), (0.0, True)):
+        scene = Scene()
+        scene.hear(scene.sender.position(50_000, 0.0))
+        scene.hear(
+            *(scene.sender.position(50_020 + 20 * k, 5.0 if k % 2 else apart_m) for k in range(15)), passed_ms=300
+        )
+        told = scene.fleet.twin_behind_one_address(0, scene.now_ns)
+        assert (told is not None and "their positions alternate" in told) == found
+
+
 def test_one_jump_of_a_position_is_no_second_sender() -> None:
     scene = Scene()
     for k in _steps(scene, 4.0, 100):
