@@ -13,6 +13,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
+from tests.app.flights import cube8
 from tests.core.test_wind import Blown
 from tests.mission.test_monitors import Scene
 
@@ -135,3 +136,25 @@ def test_a_mission_may_say_how_its_vehicles_take_the_wind() -> None:
     frame = light.profile.airframe
     assert (frame.air_1_s, frame.air_1_m, frame.settle_s, frame.push_lag_s) == (0.1, 0.01, 2.0, 0.49)
     assert light.gust_margin_m < 0.5 * px4_cube8().gust_margin_m
+
+
+def test_unasked_gusts_leave_room_to_move_in_a_tight_formation_and_stated_ones_take_what_they_need() -> None:
+    tight = ("formation=../formations/two_squares9.yaml", "gains=../gains/two_squares9.npz", "position_error_m=0.02")
+    tight += ("avoidance={radius_m: 0.67, activation_m: 0.85}", "vehicles=" + _nine("px4_quad"))
+    unasked = cube8(*tight)
+    assert unasked.keep_out_margin_m <= 0.6 * unasked.room_m
+    assert unasked.wind.gust_m_s < 0.15
+    stated = cube8(*tight, "wind={mean_m_s: 4, gust_m_s: 0.15}")
+    assert 0.8 * stated.room_m < stated.keep_out_margin_m <= 0.9 * stated.room_m
+    with pytest.raises(UserError, match=r"gusts of 0\.1\d m/s could be allowed"):
+        cube8(*tight, "wind={mean_m_s: 4, gust_m_s: 0.3}")
+
+
+def _nine(profile: str) -> str:
+    """Nine vehicles on a grid of 2 m."""
+    pads = [[2.0 * (k % 3) - 2.0, 2.0 * (k // 3) - 2.0, 0.0] for k in range(9)]
+    link = "'udpin://127.0.0.1:14540'"
+    rows = [
+        f"{{id: {k + 1}, link: {link}, autopilot: px4, profile: {profile}, pad_m: {pad}}}" for k, pad in enumerate(pads)
+    ]
+    return f"[{', '.join(rows)}]"

@@ -123,6 +123,7 @@ def build_plan(
         pads,
         margin_m=margin_m(position_error_m),
         room_m=min(room_m, region.room_m(all_offsets(pads))),
+        to_form_m=room_m,
         lead_s=lead_s,
     )
     wind = wind_limit(spec, profile, room)
@@ -179,7 +180,12 @@ def check_acceleration(plan: MissionPlan) -> None:
 def check_room_for_wind(plan: MissionPlan) -> None:
     """Refuses a wind for which there is no room; not for records either."""
     room = room_for_wind(
-        plan.spec, plan.pads_enu_m, margin_m=plan.margin_m, room_m=plan.room_with_pads_m, lead_s=plan.lead_s
+        plan.spec,
+        plan.pads_enu_m,
+        margin_m=plan.margin_m,
+        room_m=plan.room_with_pads_m,
+        to_form_m=plan.room_m,
+        lead_s=plan.lead_s,
     )
     check_wind(plan.source, plan.spec, plan.profile, plan.wind, room)
 

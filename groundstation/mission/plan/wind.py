@@ -7,7 +7,7 @@ added to r beside what positions may be off. Refuses a mission that leaves no ro
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from groundstation.mission.plan.schema import MissionSpec
 _DEVIATIONS = 3.0
 ROOM_SHARE = 0.9
 """Of the room that a formation leaves: more than that cannot be kept clear without locking everybody in."""
+_UNASKED_SHARE = 0.6  # of it, where the mission names no limit: who has to squeeze past others forms late or never
 
 
 @dataclass(frozen=True)
@@ -47,23 +48,25 @@ class WindRoom:
     Attributes:
         margin_m: what positions may be off, already part of what r is grown by.
         room_m: by how much the region can grow before the formation or the pads touch it.
+        to_form_m: the same of the formation alone, in which the others move.
         to_wall_m: from each pad to the nearest wall of the fence, shape (n,).
         lead_s: of the law.
     """
 
     margin_m: float
     room_m: float
+    to_form_m: float
     to_wall_m: FloatArray
     lead_s: float
 
 
 def room_for_wind(
-    spec: MissionSpec, pads_enu_m: FloatArray, *, margin_m: float, room_m: float, lead_s: float
+    spec: MissionSpec, pads_enu_m: FloatArray, *, margin_m: float, room_m: float, to_form_m: float, lead_s: float
 ) -> WindRoom:
     """Puts together what a mission has for the wind; arguments as in ``WindRoom``."""
     low, high = np.array(spec.fence.min_m)[:2], np.array(spec.fence.max_m)[:2]
     to_wall_m = np.minimum(pads_enu_m[:, :2] - low, high - pads_enu_m[:, :2]).min(axis=1)
-    return WindRoom(margin_m, room_m, to_wall_m, lead_s)
+    return WindRoom(margin_m, room_m, to_form_m, to_wall_m, lead_s)
 
 
 def wind_limit(spec: MissionSpec, profile: VehicleProfile, room: WindRoom) -> WindLimit:
@@ -74,7 +77,8 @@ def wind_limit(spec: MissionSpec, profile: VehicleProfile, room: WindRoom) -> Wi
         mean_m_s = _mean_that_fits(spec, profile, room, profile.wind_mean_m_s)
     gust_m_s = given.gust_m_s
     if gust_m_s is None:
-        gust_m_s = min(profile.wind_gust_m_s, _gust_that_fits(spec, profile, room, mean_m_s))
+        ease = replace(room, room_m=min(room.room_m, _UNASKED_SHARE / ROOM_SHARE * room.to_form_m))
+        gust_m_s = min(profile.wind_gust_m_s, _gust_that_fits(spec, profile, ease, mean_m_s))
     return WindLimit(mean_m_s, gust_m_s)
 
 
