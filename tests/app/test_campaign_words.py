@@ -114,6 +114,21 @@ def test_who_lands_on_one_that_stands_there_is_no_completed_mission() -> None:
     assert _kinds(scene.verdict()) == set()
 
 
+@pytest.mark.parametrize(("said_then", "found"), [(True, set()), (False, {"said_near"})])
+def test_a_reason_is_held_against_the_time_at_which_it_was_said_first(said_then: bool, found: set[str]) -> None:
+    scene = Scene()
+    scene.world.dynamics.commands.flying[0] = True
+    scene.run(0.8, 0, (0.0, 0.0, 0.5))
+    scene.run(1.4, 0, (0.5, 0.0, 0.0))
+    reason = "vehicles 1 and 2: 0.44 m apart, minimum is 0.45 m; everybody comes back"
+    if said_then:
+        scene.say(f"aborted: {reason}")
+    scene.run(1.4, 0, (-0.5, 0.0, 0.0))
+    scene.run(3.0)
+    scene.run(3.0, 0, (0.0, 0.0, -0.5))
+    assert _kinds(scene.verdict(reason=reason)) == found
+
+
 @pytest.mark.parametrize(
     ("drift_m_s", "found"),
     [(0.08, set()), (0.4, {"pad_untold", "completed_untrue"}), (0.0, {"pad_untold", "completed_untrue"})],

@@ -106,7 +106,8 @@ class Witness:
         self._upset[list(vehicles)] = True
 
     def hear(self, t_ns: int, text: str) -> None:
-        """Takes an alarm, or the reason."""
+        """Takes an alarm, or the reason; a reason that was an alarm before was judged then, and is not said anew."""
+        anew = not any(text in word.text for word in self._words) or not self._end_ns
         ids = {int(number) for found in _NAMES.findall(text) for number in re.findall(r"\d+", found)}
         ids |= {int(number) for number in _TWINS.findall(text)}
         rows = {self._row_of_id[number] for number in ids if number in self._row_of_id}
@@ -115,7 +116,8 @@ class Witness:
         for url in _LINK.findall(text):
             rows |= {row for row, vehicle in enumerate(self._plan.spec.vehicles) if vehicle.link == url}
         self._words.append(_Word(t_ns, text, frozenset(rows), any(words in text for words in _WHOLE_TEAM)))
-        self._judge_now(t_ns, text)
+        if anew:
+            self._judge_now(t_ns, text)
 
     def look(self, now_ns: int, pairs_m: Callable[[], FloatArray]) -> None:
         """Looks at the truth of a tick; ``pairs_m`` gives the smallest distances of each pair so far, shape (n, n)."""
