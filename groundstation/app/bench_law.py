@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from groundstation.app.law_bench.compensation import RESPONSES
 from groundstation.app.law_bench.plant import LINK_DELAY_S, TICK_S, WANDER_M, Plant
 from groundstation.app.law_bench.rivals import RIVALS, Rival
 from groundstation.app.output import Output
@@ -141,7 +140,7 @@ def plan_for(name: str, profile: str, *, compensated: bool = False) -> MissionPl
         "link_delay_s": LINK_DELAY_S,
         "position_error_m": WANDER_M,
         "min_altitude_m": 0.3,
-        "profiles": {profile: {"lag_s": RESPONSES[profile].lag_s}} if compensated and profile in RESPONSES else {},
+        "compensate_s": "auto" if compensated and PROFILES[profile].response is not None else None,
         "avoidance": {"radius_m": _RADIUS_M, "activation_m": _APART_M},
         "takeoff": {"height_m": 1.0},
         "steps": [{"form": {"tolerance_m": _WITHIN_M, "timeout_s": 600}}, {"hold": {"seconds": 600}}],

@@ -16,7 +16,8 @@ from functools import partial
 import numpy as np
 
 from groundstation.core.law import OwnCodeError
-from groundstation.core.types import FloatArray, IntArray
+from groundstation.core.quick import some
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.codec import Piece
 from groundstation.mavlink.station import Outgoing
@@ -63,6 +64,7 @@ class Runner(Told):
         self._faults = 0
         self._lines: list[str] = []
         self._sent_ned_m_s: FloatArray = np.zeros((plan.size, 3))
+        self._shape = plan.compensator()
         # Setpoints of vehicles on a narrow link go out every few ticks, one vehicle after the other.
         self._setpoint_every: IntArray = np.array(
             [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(plan.size)]
@@ -73,7 +75,10 @@ class Runner(Told):
 
     @property
     def sent_ned_m_s(self) -> FloatArray:
-        """Velocities of the last tick, shape (n, 3): zero for whoever stands still or gets none."""
+        """Velocities of the last tick, shape (n, 3): zero for whoever stands still or gets none.
+
+        With ``compensate_s`` what vehicles are to fly, and not the commands that make them.
+        """
         return self._sent_ned_m_s.copy()
 
     # What comes in
@@ -213,12 +218,26 @@ class Runner(Told):
         due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
         still = team.board.hold | ~team.roster.follows
         self._sent_ned_m_s = np.where(still[:, None], 0.0, team.board.speeds.told(velocity_ned_m_s))
-        streaming = np.asarray(due & team.roster.steered & state.streams)
+        steered = np.asarray(team.roster.steered & state.streams)
         try:
-            return team.station.transmit(now_ns, self._sent_ned_m_s, team.stance.yaw_ned_rad, streaming)
+            return team.station.transmit(now_ns, self._shaped(steered), team.stance.yaw_ned_rad, due & steered)
         except Exception as error:
             self._fault(error, now_ns)
             return []  # the next tick tries again; autopilots fly on by their last setpoint for half a second
+
+    def _shaped(self, steered: BoolArray) -> FloatArray:
+        """Commands that make vehicles fly what was sent, shape (n, 3), NED; as it is without compensation."""
+        team, shape = self._team, self._shape
+        if shape is None:
+            return self._sent_ned_m_s
+        odd = shape.compensated & team.board.strays
+        if some(odd):
+            shape.stop(odd)
+            for vehicle in odd.nonzero()[0].tolist():
+                words = "does not answer as its profile says: its setpoints are not shaped any more (compensate_s)"
+                team.verdict.note("alarm", f"{team.name(vehicle)} {words}")
+        shape.rest(~steered)
+        return shape(self._sent_ned_m_s)
 
     def _guarded(self, now_ns: int, act: Callable[[], None]) -> None:
         """Does one part of a tick. Whatever goes wrong in it is told and ends the mission, and stops no other part."""

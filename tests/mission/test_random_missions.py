@@ -29,6 +29,7 @@ ODD: dict[str, list[Any]] = {
     "scale": SCALES,
     "gain": [1e-12, 0.01, 1, 10],
     "lead_s": [0, 0.2, 10],
+    "compensate_s": ["auto", 0.3, 2],
     "upright_1_s": [0, 1e-9, 100],
     "formation_scale": [1e-6, 0.5, 3, 9999],
     "rate_hz": [10, 33.3, 200],

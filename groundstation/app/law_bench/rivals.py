@@ -12,7 +12,6 @@ from typing import Protocol
 
 import numpy as np
 
-from groundstation.app.law_bench.compensation import RESPONSES, Compensator
 from groundstation.app.law_bench.plant import TICK_S, Seen
 from groundstation.core import control, frames
 from groundstation.core.assignment import assign_roles
@@ -83,12 +82,12 @@ class Compensated(Product):
 
     def __init__(self, plan: MissionPlan, start_enu_m: FloatArray) -> None:
         super().__init__(plan, start_enu_m)
-        responses = [RESPONSES.get(vehicle.profile) for vehicle in plan.spec.vehicles]
-        self._shape = Compensator(responses, plan.profile.lag_s, TICK_S, plan.spec.speed_limit_m_s)
+        self._shape = plan.compensator()
 
     def steer(self, seen: Seen) -> FloatArray:
         """Velocities to be told at a tick, NED, shape (n, 3)."""
-        return self._shape(super().steer(seen))
+        told = super().steer(seen)
+        return told if self._shape is None else self._shape(told)
 
 
 class _Limited:

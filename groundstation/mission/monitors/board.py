@@ -91,6 +91,11 @@ class Board:
         return self._modes.foreign
 
     @property
+    def strays(self) -> BoolArray:
+        """Vehicles that do not do what they are told at the moment, shape (n,)."""
+        return self._following.strays
+
+    @property
     def flies(self) -> BoolArray:
         """Vehicles that say that they stand on the ground and are seen to fly, shape (n,)."""
         return self._contradictions.flies

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -27,7 +27,14 @@ from groundstation.mission.plan.positioning import (
     check_tolerances,
     margin_m,
 )
-from groundstation.mission.plan.profiles import PROFILES, VehicleProfile, approach_rate_1_s, slowest
+from groundstation.mission.plan.profiles import (
+    PROFILES,
+    VehicleProfile,
+    approach_rate_1_s,
+    compensated,
+    compensated_lag_s,
+    slowest,
+)
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.plan.stages import Shape, check_clearance, check_order, check_shape, make_stages, plan_moves
 from groundstation.mission.plan.wind import check_wind, gust_margin_m, room_for_wind, wind_limit
@@ -59,7 +66,10 @@ def build_plan(
     }
     profiles = known_profiles(spec, source)
     _check_vehicles(spec, first.formation, source, profiles)
-    vehicle_profiles = tuple(profiles[vehicle.profile] for vehicle in spec.vehicles)
+    vehicle_profiles = tuple(profiles[item.profile] for item in spec.vehicles)
+    compensation_s = compensated_lag_s(spec, vehicle_profiles)
+    vehicle_profiles = tuple(compensated(item, compensation_s) for item in vehicle_profiles)
+    _check_compensation(spec, vehicle_profiles, compensation_s, source)
     profile = slowest(vehicle_profiles)
     if spec.avoidance.activation_m < spec.avoidance.radius_m:
         raise UserError(
@@ -208,7 +218,10 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
         figures["settle_s"] = figures.pop("wind_settle_s", PROFILES[like].airframe.settle_s)
         air = {field.name: figures.pop(field.name) for field in fields(Airframe) if field.name in figures}
         airframe = replace(PROFILES[like].airframe, **air)
-        profiles[name] = replace(PROFILES[like], name=name, airframe=airframe, **figures)
+        known = replace(PROFILES[like], name=name, airframe=airframe, **figures)
+        # With another lag or drag it is not the velocity loop that is known.
+        same = known.lag_s == PROFILES[like].lag_s and airframe.drag_1_s == PROFILES[like].airframe.drag_1_s
+        profiles[name] = known if same else replace(known, response=None)
     return profiles
 
 
@@ -237,6 +250,28 @@ def _check_vehicles(
             parse_address(vehicle.link)
         except UserError as error:
             raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
+
+
+def _check_compensation(
+    spec: MissionSpec, profiles: Sequence[VehicleProfile], lag_s: float | None, source: str
+) -> None:
+    """Refuses a compensation that limits would undo, and one that nobody of the team can be given."""
+    if spec.compensate_s is None or lag_s is None:
+        return
+    if spec.compensate_s != "auto" and spec.compensate_s < lag_s:
+        raise UserError(
+            f"{source}: compensate_s: {spec.compensate_s:g} s, minimum is {lag_s:.3g} s, 1.5 times what the speed limit"
+            f" of {spec.speed_limit_m_s:g} m/s takes at the acceleration limit: counting on less the team may swing;"
+            " make it larger, say auto, or lower the speed limit"
+        )
+    if any(profile.response is not None for profile in profiles):
+        return
+    known = ", ".join(name for name, profile in PROFILES.items() if profile.response is not None)
+    raise UserError(
+        f"{source}: compensate_s: {lag_s:.3g} s, and no vehicle answers quicker by it: it has to be less than the lag"
+        f" of a vehicle, and how one answers is known of {known} alone, with the lag and drag that come along; leave it"
+        " out"
+    )
 
 
 def _check_upload(spec: MissionSpec, source: str) -> None:

@@ -11,6 +11,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
+from groundstation.core.compensation import Compensator
 from groundstation.core.formation import Formation
 from groundstation.core.obstacles import Obstacles
 from groundstation.core.regions import SafetyRegion, build_region
@@ -105,6 +108,14 @@ class MissionPlan(LinkPlan, FormationPlan):
         """How many times more gently points are approached because of the links' delay; 1 without any."""
         own = replace(self.profile, delay_s=slowest(self.vehicle_profiles).delay_s)
         return approach_rate_1_s(own, self.lead_s) / approach_rate_1_s(self.profile, self.lead_s)
+
+    def compensator(self) -> Compensator | None:
+        """What shapes the commands of one flight; None where they go as they are."""
+        responses = [profile.response for profile in self.vehicle_profiles]
+        if not any(responses):
+            return None
+        lags_s = np.array([profile.lag_s for profile in self.vehicle_profiles])
+        return Compensator(responses, lags_s, 1.0 / self.spec.rate_hz, self.spec.speed_limit_m_s)
 
     def record(self) -> dict[str, Any]:
         """The mission with everything resolved, as plain values, for the manifest beside the log."""

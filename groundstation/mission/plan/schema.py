@@ -486,4 +486,5 @@ class MissionSpec(_CourseKeys):
     signing: SigningSpec | None = None
     forward: str | None = None
     profiles: dict[str, ProfileSpec] = {}
+    compensate_s: Literal["auto"] | Annotated[Number, Field(ge=0.2, le=2)] | None = None
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=1)]

@@ -1,7 +1,8 @@
 """Velocities that make vehicles follow faster: the inverse of how a velocity loop answers, slowed down to a lag.
 
 A velocity loop that answers with G(s) is told G^-1(s) / (tau s + 1) u, and so answers u with 1 / (tau s + 1), as far as
-its G is known and nothing saturates. A trial for races (docs/avoidance-measured.md): no mission is flown so.
+its G is known and nothing saturates. What this asks of the argument for r: docs/avoidance-why.md. Knows no vehicles
+and no limits but that of how large commands may become.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ class AxisResponse:
 
 @dataclass(frozen=True)
 class Response:
-    """How a vehicle answers velocities, and how fast it can be made to.
+    """How a vehicle answers velocities by itself.
 
     Attributes:
         horizontal: along north and east.
         vertical: along down.
-        lag_s: of what is left behind the compensation, > 0; less asks for commands that are larger.
+        lag_s: what the slower of both counts for without compensation, > 0.
     """
 
     horizontal: AxisResponse
@@ -51,20 +52,12 @@ class Response:
     lag_s: float
 
 
-RESPONSES = {"px4_quad": Response(AxisResponse(1.8, 0.5, 1.35), AxisResponse(4.0, 2.0, 1.35), lag_s=0.3)}
-"""By profile: PX4's gains MPC_XY_VEL_* and MPC_Z_VEL_*, and the drag of its built-in simulator.
-
-Of the others none is given: a Crazyflie is quick already (0.12 s in place of 0.2 saved 0.1 s of 4.2 in races), and what
-ArduCopter does to a setpoint before its velocity loop takes two more orders to invert.
-"""
-
-
 class Compensator:
     """Compensates the commands of one team, tick by tick.
 
     Args:
         responses: of each vehicle; None where commands go as they are.
-        lag_s: what compensated vehicles are to answer with, > 0.
+        lag_s: what each compensated vehicle is to answer with, shape (n,), > 0; of the others it does not count.
         tick_s: > 0.
         speed_limit_m_s: of the vehicles, > 0.
 
@@ -73,7 +66,7 @@ class Compensator:
     """
 
     def __init__(
-        self, responses: Sequence[Response | None], lag_s: float, tick_s: float, speed_limit_m_s: float
+        self, responses: Sequence[Response | None], lag_s: FloatArray, tick_s: float, speed_limit_m_s: float
     ) -> None:
         n = len(responses)
         self.compensated: BoolArray = np.array([response is not None for response in responses], dtype=np.bool_)
@@ -84,13 +77,20 @@ class Compensator:
             if response is None:
                 continue
             for axis, item in enumerate((response.horizontal, response.horizontal, response.vertical)):
-                self._above[:, k, axis], self._below[:, k, axis] = _discrete(item, lag_s, tick_s)
+                self._above[:, k, axis], self._below[:, k, axis] = _discrete(item, float(lag_s[k]), tick_s)
         self._most_m_s = MOST_OVER_LIMIT * speed_limit_m_s
         self._kept: FloatArray = np.zeros((_TERMS, n, 3))
 
-    def rest(self) -> None:
-        """Everybody was told to stand still."""
-        self._kept[:] = 0.0
+    def rest(self, who: BoolArray) -> None:
+        """Forgets what those were told, shape (n,): nothing was sent to them, so they answer nothing."""
+        self._kept[:, who] = 0.0
+
+    def stop(self, who: BoolArray) -> None:
+        """From now on commands of those go as they are, shape (n,)."""
+        self.compensated = self.compensated & ~who
+        self._above[:, who] = self._below[:, who] = 0.0
+        self._above[0, who] = self._below[0, who] = 1.0
+        self._kept[:, who] = 0.0
 
     def __call__(self, vel_ned_m_s: FloatArray) -> FloatArray:
         """What to send so that velocities follow with the lag, shape (n, 3), NED; within twice the speed limit."""

@@ -1,0 +1,134 @@
+"""Compensated commands: vehicles answer as quickly as they are to, by a simulation that shares no code with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from groundstation.app.resources import packaged_configs
+from groundstation.core.compensation import MOST_OVER_LIMIT, Compensator
+from groundstation.core.errors import UserError
+from groundstation.mission.plan.profiles import PROFILES
+from groundstation.mission.plan.reading import load_mission, plan_from_record
+from sitl.dynamics import Dynamics
+from sitl.estimator import NOISELESS, Estimator
+from sitl.personalities import PROFILES as FLOWN
+
+TICK_S, STEP_S = 0.02, 0.004
+LAG_S = 0.3
+PX4_CUBE8 = packaged_configs() / "missions" / "px4_cube8.yaml"
+RESPONSES = {name: profile.response for name, profile in PROFILES.items() if profile.response is not None}
+
+
+def answers(name: str, axis: int, speed_m_s: float, *, compensated: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities along an axis (0 east, 2 up) and commands of one emulated vehicle for a step, tick by tick."""
+    estimator = Estimator([NOISELESS], STEP_S, np.random.default_rng(0))
+    start = np.zeros((3, 1))
+    vehicle = Dynamics([FLOWN[name]], pos_enu_m=start, yaw_enu_rad=np.zeros(1), estimator=estimator, step_s=STEP_S)
+    vehicle.commands.flying[:] = True
+    vehicle.commands.vel_sp_enu_m_s[2] = 1.0
+    for _ in range(round(3.0 / STEP_S)):
+        vehicle.step()
+    vehicle.commands.vel_sp_enu_m_s[2] = 0.0
+    for _ in range(round(8.0 / STEP_S)):
+        vehicle.step()
+    shape = Compensator([RESPONSES[name]], np.array([LAG_S]), TICK_S, speed_m_s) if compensated else None
+    told = np.zeros((1, 3))
+    told[0, [1, 0, 2][axis]] = -speed_m_s if axis == 2 else speed_m_s
+    went, commands = [], []
+    for _ in range(round(6.0 / TICK_S)):
+        sent = told if shape is None else shape(told)
+        vehicle.commands.vel_sp_enu_m_s[:] = np.array([sent[0, 1], sent[0, 0], -sent[0, 2]])[:, None]
+        for _ in range(round(TICK_S / STEP_S)):
+            vehicle.step()
+        went.append(vehicle.motion.vel_enu_m_s[axis, 0])
+        commands.append(float(np.linalg.norm(sent)))
+    return np.array(went), np.array(commands)
+
+
+def t63_s(went: np.ndarray, speed_m_s: float) -> float:
+    return float(np.argmax(went >= 0.632 * speed_m_s)) * TICK_S
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("name", list(RESPONSES))
+def test_a_compensated_vehicle_answers_with_the_lag_that_the_team_counts_on(name: str, axis: int) -> None:
+    profile = PROFILES[name]
+    went, commands = answers(name, axis, 0.3, compensated=True)
+    # The lag behind it, and what is not inverted: dead time, attitude, motors.
+    assert t63_s(went, 0.3) <= LAG_S + 1.8 * profile.delay_s
+    assert went.max() <= 1.12 * 0.3
+    assert went[-1] == pytest.approx(0.3, abs=0.012)
+    assert commands.max() <= MOST_OVER_LIMIT * 0.3 + 1e-9
+
+
+def test_it_is_the_compensation_that_makes_it_quick() -> None:
+    by_itself, commands = answers("px4_quad", 0, 0.3, compensated=False)
+    helped, _ = answers("px4_quad", 0, 0.3, compensated=True)
+    assert t63_s(by_itself, 0.3) > 2.2 * t63_s(helped, 0.3)
+    assert commands.max() == pytest.approx(0.3)
+
+
+def test_vehicles_that_nobody_knows_get_their_commands_as_they_are() -> None:
+    shape = Compensator([RESPONSES["px4_quad"], None], np.array([LAG_S, 1.0]), TICK_S, 0.5)
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        told = rng.normal(0.0, 2.0, (2, 3))
+        sent = shape(told)
+        assert np.array_equal(sent[1], told[1])
+        assert np.linalg.norm(sent[0]) <= MOST_OVER_LIMIT * 0.5 + 1e-9
+    shape.rest(np.array([True, True]))
+    assert not shape(np.zeros((2, 3))).any()
+
+
+def test_everything_that_steers_counts_on_the_compensated_lag() -> None:
+    plain, plan = load_mission(PX4_CUBE8), load_mission(PX4_CUBE8, ["compensate_s=auto"])
+    assert (plain.profile.lag_s, plan.profile.lag_s, plan.lead_s) == (1.0, 0.75, 0.75)
+    assert plan.control_gain > 1.1 * plain.control_gain
+    assert plain.compensator() is None
+    shape = plan.compensator()
+    assert shape is not None
+    assert shape.compensated.all()
+    again = plan_from_record(plan.record(), plan.gains_npz, "record")
+    assert (again.profile, again.spec.compensate_s) == (plan.profile, "auto")
+    assert "compensate_s" not in plain.record()
+
+
+def test_no_less_than_the_limits_of_setpoints_allow() -> None:
+    # 1.5 m/s at 3 m/s^2: with 0.3 s px4_cube8 swung without end, its setpoints at the limit of their slope.
+    with pytest.raises(UserError, match=r"compensate_s: 0.3 s, minimum is 0.75 s.*auto"):
+        load_mission(PX4_CUBE8, ["compensate_s=0.3"])
+    assert load_mission(PX4_CUBE8, ["compensate_s=0.3", "speed_limit_m_s=0.5"]).profile.lag_s == 0.3
+    assert load_mission(PX4_CUBE8, ["compensate_s=auto", "acceleration_limit_m_s2=2.5"]).profile.lag_s == pytest.approx(
+        0.9
+    )
+
+
+@pytest.mark.parametrize(
+    "changes", [[], ["profiles={px4_quad: {lag_s: 0.9}}"], ["profiles={px4_quad: {drag_1_s: 0.4}}"]]
+)
+def test_whose_answer_is_not_known_is_not_compensated(changes: list[str]) -> None:
+    mission = PX4_CUBE8 if changes else PX4_CUBE8.with_name("cube8.yaml")
+    with pytest.raises(UserError, match="no vehicle answers quicker by it"):
+        load_mission(mission, ["compensate_s=auto", *changes])
+
+
+def test_a_vehicle_that_is_left_out_again_gets_its_commands_as_they_are() -> None:
+    shape = Compensator([RESPONSES["px4_quad"]] * 2, np.full(2, LAG_S), TICK_S, 0.5)
+    told = np.full((2, 3), 0.2)
+    first = shape(told)
+    assert np.linalg.norm(first[0]) > 1.3 * np.linalg.norm(told[0])
+    shape.stop(np.array([True, False]))
+    assert shape.compensated.tolist() == [False, True]
+    sent = shape(told)
+    assert np.array_equal(sent[0], told[0])
+    assert not np.array_equal(sent[1], told[1])
+    assert np.array_equal(shape(np.zeros((2, 3)))[0], np.zeros(3))
+
+
+def test_nothing_is_left_of_what_was_told_before_a_pause() -> None:
+    shape = Compensator([RESPONSES["px4_quad"]], np.array([LAG_S]), TICK_S, 0.5)
+    first = shape(np.full((1, 3), 0.2))
+    assert not np.array_equal(shape(np.full((1, 3), 0.2)), first)
+    shape.rest(np.array([True]))
+    assert np.array_equal(shape(np.full((1, 3), 0.2)), first)
