@@ -139,7 +139,11 @@ def test_a_mission_may_say_how_its_vehicles_take_the_wind() -> None:
 
 
 def test_unasked_gusts_leave_room_to_move_in_a_tight_formation_and_stated_ones_take_what_they_need() -> None:
-    tight = ("formation=../formations/two_squares9.yaml", "gains=../gains/two_squares9.npz", "position_error_m=0.02")
+    tight: tuple[str, ...] = (
+        "formation=../formations/two_squares9.yaml",
+        "gains=../gains/two_squares9.npz",
+        "position_error_m=0.02",
+    )
     tight += ("avoidance={radius_m: 0.67, activation_m: 0.85}", "vehicles=" + _nine("px4_quad"))
     unasked = cube8(*tight)
     assert unasked.keep_out_margin_m <= 0.6 * unasked.room_m
