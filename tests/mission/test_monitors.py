@@ -58,6 +58,7 @@ class Scene:
         self.roster = enlist(self.plan)
         self.frozen = np.zeros(n, dtype=np.bool_)
         self.going_on = False
+        self.stands = np.zeros(n, dtype=np.bool_)
         self.monitor.begin(self.fleet)
         self.found = Findings()
         self.alarms: list[str] = []
@@ -92,7 +93,7 @@ class Scene:
                 lands_here=self.roster.lands_here,
                 excused=self.roster.told_to_land,
                 blind=self.monitor.blind,
-                airborne=self.fleet.armed.copy(),
+                airborne=self.fleet.armed & ~self.stands,
                 going_on=self.going_on,
             )
         )
@@ -599,6 +600,17 @@ def test_the_fence_is_for_everybody_whose_place_is_known() -> None:
     scene.pos[1, 0] = 3.4
     found = scene.run(1.0)
     assert [item.abort for item in found] == ["vehicle 2: 0.40 m outside the fence, limit 0.3 m; everybody comes back"]
+
+
+def test_who_stands_is_not_outside_the_fence_when_its_height_wanders_below_the_floor() -> None:
+    scene = Scene()
+    scene.pos = scene.pos.copy()
+    scene.pos[6, 2] = 0.4
+    scene.stands[6] = True
+    assert scene.run(1.0) == []
+    scene.stands[6] = False
+    found = scene.run(1.0)
+    assert [item.abort for item in found] == ["vehicle 7: 0.40 m outside the fence, limit 0.3 m; everybody comes back"]
 
 
 def test_frames_that_change_land_the_vehicle() -> None:
