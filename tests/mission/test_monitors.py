@@ -602,13 +602,28 @@ def test_the_fence_is_for_everybody_whose_place_is_known() -> None:
     assert [item.abort for item in found] == ["vehicle 2: 0.40 m outside the fence, limit 0.3 m; everybody comes back"]
 
 
-def test_who_stands_is_not_outside_the_fence_when_its_height_wanders_below_the_floor() -> None:
+@pytest.mark.parametrize("says_takeoff", [False, True])
+def test_the_floor_of_the_fence_is_for_those_who_have_risen_above_it(says_takeoff: bool) -> None:
     scene = Scene()
     scene.pos = scene.pos.copy()
-    scene.pos[6, 2] = 0.4
-    scene.stands[6] = True
+    scene.pos[6, 2] = 0.4  # heights wander on the ground
+    scene.stands[6] = not says_takeoff
     assert scene.run(1.0) == []
-    scene.stands[6] = False
+    scene = Scene()
+    scene.sent[6, 2] = scene.vel[6, 2] = 1.0
+    words = "vehicle 7: 0.40 m outside the fence, limit 0.3 m; everybody comes back"
+
+    def sinks() -> None:
+        scene.pos = scene.pos + scene.vel * (TICK_NS / SECOND_NS) * (scene.pos[6, 2] < 0.4)
+
+    assert words in [item.abort for item in scene.run(2.0, sinks)]
+
+
+def test_who_stands_outside_the_walls_of_the_fence_is_told() -> None:
+    scene = Scene()
+    scene.pos = scene.pos.copy()
+    scene.pos[6, 0] = 3.4
+    scene.stands[6] = True
     found = scene.run(1.0)
     assert [item.abort for item in found] == ["vehicle 7: 0.40 m outside the fence, limit 0.3 m; everybody comes back"]
 

@@ -29,21 +29,27 @@ _STREAM_OVER_S, _STREAM_MIN_HZ = 5.0, 2.0  # PX4 leaves OFFBOARD below 2 Hz, and
 
 
 class BeyondFence:
-    """Vehicles outside the fence, towards which nobody is steered."""
+    """Vehicles outside the fence, towards which nobody is steered.
+
+    The floor counts for those who have risen above it: heights wander on the ground. PX4 was seen to tell of 0.09 m
+    above its pad and 4 s later of 0.32 m below it, and to say that it takes off 2 s before it does.
+    """
 
     def __init__(self, plan: MissionPlan) -> None:
         spec = plan.spec
         self._limit_m = spec.limits.fence_beyond_m
         self._fence = Fence.from_enu(np.array(spec.fence.min_m), np.array(spec.fence.max_m))
         self._lasting = Lasting(plan.size, _BESIDE_S)
+        self._risen: BoolArray = np.zeros(plan.size, dtype=np.bool_)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
-        """Brings everybody back: whatever carries one vehicle out may carry out the next.
-
-        Nothing carries who stands: heights wander there, seen of PX4 from 0.09 m above its pad to 0.32 m below in 4 s.
-        """
-        outside_m = self._fence.outside_m(sight.pos_team_ned_m)
-        counts = sight.airborne & ours & ~sight.excused & ~sight.blind
+        """Brings everybody back: whatever carries one vehicle out may carry out the next."""
+        floor_ned_m, down_m = self._fence.max_team_ned_m[2], sight.pos_team_ned_m[:, 2]
+        self._risen = sight.airborne & (self._risen | (down_m <= floor_ned_m - self._limit_m))
+        counted = sight.pos_team_ned_m.copy()
+        counted[:, 2] = np.where(self._risen, down_m, np.minimum(down_m, floor_ned_m))
+        outside_m = self._fence.outside_m(counted)
+        counts = ours & ~sight.excused & ~sight.blind
         for vehicle in self._lasting((outside_m > self._limit_m) & counts, sight.now_ns):
             what = f"{outside_m[vehicle]:.2f} m outside the fence, limit {self._limit_m:g} m"
             yield Finding(Reaction.ALL_HOME, what, (vehicle,))
@@ -57,9 +63,6 @@ class Following:
         self._wind = wind
         self._limit_m_s = plan.limits.tracking_m_s
         self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
-        # Whoever strays gets its setpoints as they are from then on, and answers with the lag of its own.
-        own_lag_s = [item.response.lag_s if item.response else item.lag_s for item in plan.vehicle_profiles]
-        self._own_lag_s: FloatArray = np.array(own_lag_s)
         self._model: FloatArray = np.zeros((n, 3))
         self._error: FloatArray = np.zeros((n, 3))
         self._carried: FloatArray = np.zeros((n, 3))
@@ -84,7 +87,6 @@ class Following:
         away = off_m_s > self._limit_m_s
         for vehicle in self._first(away, sight.now_ns):
             self.strays[vehicle] = True
-            self._lag_s[vehicle] = self._own_lag_s[vehicle]
             what = f"does not follow its setpoints by {off_m_s[vehicle]:.2f} m/s, limit {self._limit_m_s:.2g} m/s"
             what += self._wind.blame(vehicle)
             yield Finding(Reaction.HOME, what, (vehicle,))
