@@ -216,7 +216,8 @@ class Runner(Told):
         if not state.speaks:
             return []
         due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
-        still = team.board.hold | ~team.roster.follows
+        # Who waits to hear us follows the first setpoint that comes through, up to a second before we know.
+        still = team.board.hold | team.board.waits | ~team.roster.follows
         self._sent_ned_m_s = np.where(still[:, None], 0.0, team.board.speeds.told(velocity_ned_m_s))
         steered = np.asarray(team.roster.steered & state.streams)
         try:

@@ -20,6 +20,8 @@ from sitl.faults import Fault
 from sitl.world import World
 from tests.app.flights import Flight, after, cube8, pair
 
+_CRITICAL = 5  # MAV_STATE
+
 MOVED = "steps=[{form: {tolerance_m: 0.05, timeout_s: 60}}, {move: {by_m: [-0.375, -0.375, 0]}}, {hold: {seconds: 5}}]"
 
 
@@ -161,9 +163,22 @@ def _outage(direction: str, for_s: float = 3.0) -> Callable[[Flight], None]:
 
 
 def test_a_team_that_did_not_hear_us_for_a_while_goes_on_when_it_does() -> None:
-    """PX4's own failsafe holds it meanwhile, and follows again by itself."""
-    flight, truth = _fly(cube8(), strike=_outage("up"), outcome="completed")
+    """PX4's own failsafe holds it meanwhile; it follows by itself again, and the first setpoint that comes through.
+
+    Eight PX4 were told to flee from each other at 1.5 m/s while all stood: they went up to 1.5 m when they heard it.
+    """
+    strike, told_m_s = _outage("up"), list[float]()
+
+    def look(flight: Flight) -> None:
+        strike(flight)
+        fleet = flight.runner.fleet
+        waits = fleet.armed & (fleet.system_status == _CRITICAL)
+        told_m_s.extend(np.linalg.norm(flight.runner.sent_ned_m_s[waits], axis=1).tolist())
+
+    flight, truth = _fly(cube8(), strike=look, outcome="completed")
     assert truth.apart_m.min() >= flight.plan.spec.avoidance.radius_m
+    assert len(told_m_s) > 100
+    assert max(told_m_s) == 0.0
     words = [note.text for note in flight.notes if note.kind == "alarm"]
     assert len(words) == 8
     assert all("its own failsafe holds it in mode AUTO.LOITER; it is waited for, 10 s" in text for text in words)

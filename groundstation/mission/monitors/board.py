@@ -96,6 +96,11 @@ class Board:
         return self._following.strays
 
     @property
+    def waits(self) -> BoolArray:
+        """Who stands still by its own failsafe until it hears setpoints again, shape (n,)."""
+        return self._modes.waits
+
+    @property
     def flies(self) -> BoolArray:
         """Vehicles that say that they stand on the ground and are seen to fly, shape (n,)."""
         return self._contradictions.flies
@@ -188,7 +193,8 @@ class Board:
         )
         strays = self._following.strays & ~landing
         extra_m: FloatArray = np.where((unsteered | strays) & up, growing_m, 0.0)
-        return replace(poses, sinking=(self.blind | self.foreign) & up, extra_radius_m=extra_m)
+        may_sink = self.blind | (self.foreign & ~self.waits)  # PX4 in Hold stood within 0.4 m for 3 s
+        return replace(poses, sinking=may_sink & up, extra_radius_m=extra_m)
 
     def _take(self, finding: Finding, findings: Findings, sight: Sight) -> Reaction:
         """Puts whom a finding concerns into lists; returns what is done about it."""
