@@ -63,6 +63,9 @@ class Following:
         self._wind = wind
         self._limit_m_s = plan.limits.tracking_m_s
         self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
+        # Whoever strays gets its setpoints as they are from then on, and answers with the lag of its own.
+        own_lag_s = [item.response.lag_s if item.response else item.lag_s for item in plan.vehicle_profiles]
+        self._own_lag_s: FloatArray = np.array(own_lag_s)
         self._model: FloatArray = np.zeros((n, 3))
         self._error: FloatArray = np.zeros((n, 3))
         self._carried: FloatArray = np.zeros((n, 3))
@@ -87,6 +90,7 @@ class Following:
         away = off_m_s > self._limit_m_s
         for vehicle in self._first(away, sight.now_ns):
             self.strays[vehicle] = True
+            self._lag_s[vehicle] = self._own_lag_s[vehicle]
             what = f"does not follow its setpoints by {off_m_s[vehicle]:.2f} m/s, limit {self._limit_m_s:.2g} m/s"
             what += self._wind.blame(vehicle)
             yield Finding(Reaction.HOME, what, (vehicle,))
