@@ -21,6 +21,7 @@ from groundstation.app.team_table import ROWS_MIN, LastAlarms, team_table
 from groundstation.links.link import Link
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import FORMATION_PHASES, Note, Phase
+from groundstation.mission.told import Look
 
 _REFRESH_NS = 200_000_000
 _WAITING_NS = 5_000_000_000
@@ -186,23 +187,24 @@ class FlightDisplay:
 
     def _picture(self, session: Session, now_ns: int, prompt: str) -> Group:
         """The state, the team where there is one to be seen, and what the keys do."""
-        parts: list[RenderableType] = [self._line(session, now_ns)]
-        if session.runner.phase not in _WAITING_PHASES:
+        look = None if session.runner.phase in _WAITING_PHASES else session.runner.look(now_ns)
+        parts: list[RenderableType] = [self._line(session, now_ns, look)]
+        if look is not None:
             lines = max(ROWS_MIN, self._console.height - _OTHER_LINES)
-            parts.append(team_table(session, self._plan, self._alarms, now_ns, lines))
+            parts.append(team_table(session, look, self._alarms, now_ns, lines))
         if prompt:
             parts.append(Text(prompt, style="dim" if prompt.startswith("h hold") else "bold yellow"))
         return Group(*parts)
 
-    def _line(self, session: Session, now_ns: int) -> Text:
+    def _line(self, session: Session, now_ns: int, look: Look | None = None) -> Text:
         runner = session.runner
         text = Text(f"{self._plan.spec.name}  {now_ns / 1e9:6.1f} s  {runner.phase.value}", style="bold cyan")
         if runner.phase in _WAITING_PHASES:
             for problem in [*link_troubles(self._links), *runner.problems]:
                 text.append(f"\n  waiting: {problem}", style="yellow")
             return text
-        if runner.phase in FORMATION_PHASES:
-            error_m = runner.formation_error_m(runner.look(now_ns).poses.pos_team_ned_m)
+        if look is not None and runner.phase in FORMATION_PHASES:
+            error_m = runner.formation_error_m(look.poses.pos_team_ned_m)
             text.append(f"  step {runner.step_number} of {len(self._plan.spec.steps)}", style="default")
             if math.isfinite(error_m):
                 text.append(f"  formation {error_m:.2f} m off", style="default")

@@ -17,9 +17,9 @@ from groundstation.app.session import Session
 from groundstation.core import frames
 from groundstation.core.quick import norms
 from groundstation.mavlink.vehicle import UNKNOWN
-from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty
 from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.told import Look
 
 ROWS_MIN = 4
 _RECENT_NS = 20 * SECOND_NS  # so long an alarm counts as something that is wrong
@@ -66,18 +66,18 @@ class LastAlarms:
         return bool(self._text[row]) and now_ns - self._at_ns[row] < _RECENT_NS
 
 
-def team_table(session: Session, plan: MissionPlan, alarms: LastAlarms, now_ns: int, lines: int) -> Table:
+def team_table(session: Session, look: Look, alarms: LastAlarms, now_ns: int, lines: int) -> Table:
     """The team at this instant.
 
     Args:
         session: the flight.
-        plan: its mission.
+        look: the team, as ``runner.look`` has it.
         alarms: what was said of whom.
         now_ns: time of the tick.
         lines: rows that there is room for; one of them says how many are left out.
     """
     runner = session.runner
-    fleet, look, airborne = runner.fleet, runner.look(now_ns), runner.airborne
+    plan, fleet, airborne = runner.plan, runner.fleet, runner.airborne
     limits = plan.spec.limits
     pads_m = plan.pads_enu_m
     height_m = frames.enu_from_ned(look.poses.pos_team_ned_m)[:, 2] - pads_m[:, 2]

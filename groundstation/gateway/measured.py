@@ -21,6 +21,8 @@ POSE_VARIABLES = (
 )
 """What is logged together, 18 bytes: a pose is never put together from two packets."""
 STATUS_VARIABLES = ("pm.vbat", "pm.state", "kalman.varPX", "kalman.varPY", "kalman.varPZ")
+STATUS_MS = 500
+"""Between two packets of those."""
 _MAGNITUDE = 511.0
 _HALF = math.sqrt(0.5)
 # Volts of one cell and what is left. Standing: a LiPo cell at rest. In the air: of a Crazyflie 2.1 hovering, by its

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 Place = tuple[float, float, float]
+VALID_MS = 100
+"""So long the last velocity still counts after ``SetpointsStop``."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ def _team() -> tuple[Session, LastAlarms]:
 
 def _shown(session: Session, alarms: LastAlarms, lines: int = 40, width: int = 120) -> list[str]:
     text = io.StringIO()
-    Console(file=text, width=width).print(team_table(session, session.runner.plan, alarms, NOW_NS, lines))
+    Console(file=text, width=width).print(team_table(session, session.runner.look(NOW_NS), alarms, NOW_NS, lines))
     return [line.rstrip() for line in text.getvalue().splitlines()]
 
 

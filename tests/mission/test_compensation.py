@@ -13,6 +13,7 @@ from groundstation.mission.plan.reading import load_mission, plan_from_record
 from sitl.dynamics import Dynamics
 from sitl.estimator import NOISELESS, Estimator
 from sitl.personalities import PROFILES as FLOWN
+from tests.mission.test_monitors import SECOND_NS, TICK_NS, Scene
 
 TICK_S, STEP_S = 0.02, 0.004
 LAG_S = 0.3
@@ -124,6 +125,34 @@ def test_a_vehicle_that_is_left_out_again_gets_its_commands_as_they_are() -> Non
     assert np.array_equal(sent[0], told[0])
     assert not np.array_equal(sent[1], told[1])
     assert np.array_equal(shape(np.zeros((2, 3)))[0], np.zeros(3))
+
+
+def _strays_on(answers_s: float) -> bool:
+    """Whether one that strays, and then answers its setpoints with this lag, is said not to follow them still."""
+    scene = Scene(
+        *(f"vehicles.{k}.profile=px4_quad" for k in range(8)),
+        "compensate_s=auto", "limits.tracking_m_s=0.1", "fence={min_m: [-60, -60, 0], max_m: [60, 60, 60]}",
+    )  # fmt: skip
+    went = np.zeros(3)
+
+    def flies(answers: bool) -> None:
+        nonlocal went
+        angle_rad = 1.2 * scene.now_ns / SECOND_NS  # in circles: never right by chance
+        scene.sent[0, :2] = 0.45 * np.cos(angle_rad), 0.45 * np.sin(angle_rad)
+        went = went + (scene.sent[0] - went) * TICK_NS / SECOND_NS / answers_s if answers else np.zeros(3)
+        scene.vel[0] = went
+        scene.pos[0] += went * TICK_NS / SECOND_NS
+
+    scene.pos = scene.pos.copy()
+    scene.run(7.0, lambda: flies(False))
+    assert any("vehicle 1: does not follow its setpoints" in text for text in scene.alarms)
+    scene.run(20.0, lambda: flies(True))
+    return any("vehicle 1: has not followed its setpoints for 6 s" in text for text in scene.alarms)
+
+
+@pytest.mark.parametrize(("answers_s", "on"), [(1.0, False), (0.3, True)])
+def test_who_strays_is_judged_by_the_lag_of_its_own_from_then_on(answers_s: float, on: bool) -> None:
+    assert _strays_on(answers_s) == on
 
 
 def test_nothing_is_left_of_what_was_told_before_a_pause() -> None:

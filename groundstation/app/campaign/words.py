@@ -107,7 +107,7 @@ class Witness:
 
     def hear(self, t_ns: int, text: str) -> None:
         """Takes an alarm, or the reason; a reason that was an alarm before was judged then, and is not said anew."""
-        anew = not any(text in word.text for word in self._words) or not self._end_ns
+        anew = not self._end_ns or not any(text in word.text for word in self._words)
         ids = {int(number) for found in _NAMES.findall(text) for number in re.findall(r"\d+", found)}
         ids |= {int(number) for number in _TWINS.findall(text)}
         rows = {self._row_of_id[number] for number in ids if number in self._row_of_id}

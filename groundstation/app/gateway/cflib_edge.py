@@ -7,6 +7,7 @@ sends a setpoint with which motors stop.
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import threading
@@ -21,8 +22,9 @@ import cflib.crtp
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
 
-from groundstation.gateway.measured import POSE_VARIABLES, STATUS_VARIABLES
+from groundstation.gateway.measured import POSE_VARIABLES, STATUS_MS, STATUS_VARIABLES
 from groundstation.gateway.orders import (
+    VALID_MS,
     Arm,
     EmergencyStop,
     GoTo,
@@ -35,13 +37,10 @@ from groundstation.gateway.orders import (
     Velocity,
 )
 
-_STATUS_MS = 500
-_VALID_MS = 100
 _KINDS = {
     "uint8_t": 1, "int8_t": 2, "uint16_t": 3, "int16_t": 4, "uint32_t": 5, "int32_t": 6, "float": 9, "FP16": 9,
     "double": 9, "uint64_t": 9, "int64_t": 9,
 }  # fmt: skip
-_DEGREES = 57.29577951308232
 _OLD_S = 0.5
 
 
@@ -170,7 +169,7 @@ class CflibVehicle:
     def _log(self, cf: Crazyflie) -> None:
         for name, period_ms, variables in (
             ("pose", self._period_ms, POSE_VARIABLES),
-            ("status", _STATUS_MS, STATUS_VARIABLES),
+            ("status", STATUS_MS, STATUS_VARIABLES),
         ):
             block = LogConfig(name, period_ms)
             for variable in variables:
@@ -227,9 +226,9 @@ def send(cf: Crazyflie, order: Order) -> None:
     high = cf.high_level_commander
     match order:
         case Velocity((x, y, z), rate):
-            cf.commander.send_velocity_world_setpoint(x, y, z, rate * _DEGREES)
+            cf.commander.send_velocity_world_setpoint(x, y, z, math.degrees(rate))
         case SetpointsStop():
-            cf.commander.send_notify_setpoint_stop(_VALID_MS)
+            cf.commander.send_notify_setpoint_stop(VALID_MS)
         case TakeOff(height_m, duration_s):
             high.takeoff(height_m, duration_s, yaw=None)
         case LandAt(height_m, duration_s):

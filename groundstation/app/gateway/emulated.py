@@ -10,9 +10,10 @@ import struct
 from collections.abc import Mapping
 
 from groundstation.gateway.bridge import Bridge
-from groundstation.gateway.measured import POSE_VARIABLES, STATUS_VARIABLES
+from groundstation.gateway.measured import POSE_VARIABLES, STATUS_MS, STATUS_VARIABLES
 from groundstation.gateway.names import short_names
 from groundstation.gateway.orders import (
+    VALID_MS,
     Arm,
     EmergencyStop,
     GoTo,
@@ -34,11 +35,9 @@ _PARAM, _LOG, _GENERIC, _HIGH_LEVEL, _SUPERVISOR = 2, 5, 7, 8, 9
 _VELOCITY, _STOP, _TAKE_OFF, _LAND, _GO_TO = 8, 3, 7, 8, 12
 _LOG_RESET, _LOG_CREATE, _LOG_START = 5, 6, 3
 _POSE_BLOCK, _STATUS_BLOCK = 0, 1
-_STATUS_PERIOD = 50  # in 10 ms
 _SLICE_NS = 20_000_000
 _ASK_AGAIN_NS = 1_000_000_000
 _PROTOCOL = 12
-_VALID_MS = 100
 _SHAPE_OF_KIND = {1: "<B", 2: "<b", 3: "<H", 5: "<I", 9: "<f"}  # MAV_PARAM_TYPE
 _NAMES = list(VARIABLES)
 
@@ -65,7 +64,7 @@ def packet_of(order: Order, numbers: Mapping[str, tuple[int, int]]) -> bytes | N
         case Velocity((x, y, z), rate):
             return packet(_GENERIC, 0, struct.pack("<Bffff", _VELOCITY, x, y, z, rate * 57.29577951308232))
         case SetpointsStop():
-            return packet(_GENERIC, 1, struct.pack("<BI", 0, _VALID_MS))
+            return packet(_GENERIC, 1, struct.pack("<BI", 0, VALID_MS))
         case TakeOff(height_m, duration_s):
             return packet(_HIGH_LEVEL, 0, struct.pack("<BBff?f", _TAKE_OFF, 0, height_m, 0.0, True, duration_s))
         case LandAt(height_m, duration_s):
@@ -112,7 +111,7 @@ class _Client:
         wanted = [packet(_LOG, 1, bytes((_LOG_RESET,)))]
         for block, period, names in (
             (_POSE_BLOCK, self._period, POSE_VARIABLES),
-            (_STATUS_BLOCK, _STATUS_PERIOD, STATUS_VARIABLES),
+            (_STATUS_BLOCK, STATUS_MS // 10, STATUS_VARIABLES),
         ):
             entries = b"".join(struct.pack("<BH", VARIABLES[name][0], _NAMES.index(name)) for name in names)
             head, rest = entries[:24], entries[24:]
