@@ -771,6 +771,67 @@ def _told_to_land(scene: Scene, *rows: int) -> None:
         scene.roster.tell_to_land(row, scene.now_ns)
 
 
+@pytest.mark.parametrize("stood_s", [None, 0.5, 2.0])
+@pytest.mark.parametrize("says_first", [False, True])
+def test_who_starts_anew_before_it_stood_has_fallen_and_who_has_stood_for_a_while_has_not(
+    stood_s: float | None, says_first: bool
+) -> None:
+    scene = Scene()
+    scene.pos[0, 2] = -0.2
+    _told_to_land(scene, 0)
+    scene.run(0.2)
+    if stood_s is not None:
+        scene.stands[0] = True
+        scene.run(stood_s)
+    if says_first:  # its heartbeat and where it stands come before anything that shows its clock
+        scene.fleet.armed[0] = False
+        scene.run(0.3)
+    scene.fleet.restarts[0] += 1
+    found = scene.run(0.5)  # its clock may show before its heartbeat
+    scene.fleet.armed[0] = False
+    found += scene.run(3.0)
+    assert [text.split(": ")[1][:42] for item in found for text in item.failed] == (
+        ["its autopilot has started anew before it s"] if stood_s != 2.0 else []
+    )
+    assert scene.monitor.blind[0] == (stood_s != 2.0)
+
+
+def test_a_clock_that_jumps_back_while_its_vehicle_lands_is_no_fall() -> None:
+    scene = Scene()
+    scene.pos[0, 2] = -0.2
+    _told_to_land(scene, 0)
+    scene.run(0.2)
+    scene.fleet.restarts[0] += 1
+    assert scene.run(4.0) == []
+    scene.stands[0] = True
+    scene.run(0.5)
+    scene.fleet.armed[0] = False
+    assert scene.run(4.0) == []
+
+
+@pytest.mark.parametrize(("silent_after_s", "told"), [(-0.3, True), (0.0, True), (0.4, True), (2.0, False)])
+def test_who_is_disarmed_and_tells_no_more_where_it_is_may_have_fallen(silent_after_s: float, told: bool) -> None:
+    scene = Scene()
+    scene.pos[0, 2] = -0.2
+    _told_to_land(scene, 0)
+    since_ns = scene.now_ns + round((0.5 + silent_after_s) * SECOND_NS)
+
+    def falls_silent() -> None:
+        scene.age_ns[0] = max(scene.now_ns - since_ns, 0)
+
+    scene.run(0.5, falls_silent)
+    scene.fleet.armed[0] = False
+    words = [text for item in scene.run(4.5, falls_silent) for text in item.failed]
+    assert words == (
+        [
+            "vehicle 1: is disarmed, and has told no position since it was in the air; whether it has fallen is not"
+            " known; keep people away and look after it"
+        ]
+        if told
+        else []
+    )
+
+
 @pytest.mark.parametrize("lands", [False, True])
 def test_whoever_flies_counts_against_one_that_stands_or_lands(lands: bool) -> None:
     scene = Scene()

@@ -22,6 +22,7 @@ from groundstation.mission.monitors.findings import Finding, Findings, Monitor, 
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.losses import Losses
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.restarts import Restarts
 from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.monitors.sinking import Sinking
 from groundstation.mission.monitors.speeds import PoorSpeeds
@@ -65,8 +66,8 @@ class Board:
         self._monitors: tuple[Monitor, ...] = (
             self.resting, self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
             BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following,
-            Distance(plan), Descents(plan, self.wind, self.speeds), self._touchdowns, self._modes,
-            Sinking(plan, self._modes), LateTicks(plan), self._contradictions,
+            Distance(plan), Descents(plan, self.wind, self.speeds), Restarts(plan), self._touchdowns,
+            self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions,
         )  # fmt: skip
         self._losses = Losses(plan)
 
@@ -202,7 +203,7 @@ class Board:
         known = bool(rows) and bool(self.blind[rows].all())
         if finding.lost:
             self._losses.lose(rows, sight, unheard=finding.unheard)
-        if known and (finding.lost or reaction is Reaction.HOME):
+        if known and reaction is not Reaction.FAILED and (finding.lost or reaction is Reaction.HOME):
             reaction = Reaction.SAY  # it cannot be brought back, and what can be done was done
         findings.concern(rows, reaction)
         return reaction

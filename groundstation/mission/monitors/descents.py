@@ -22,7 +22,7 @@ _TILTED_S, _FALLS_S, _ENDED_S = 0.1, 0.1, 0.5  # a fall from half a metre lasts 
 _SINKS_M_S, _SINKS_LOW_M_S = 2.5, 1.5  # autopilots sink at 1.5 m/s at most, and at 0.5 to 0.7 near the ground
 _LOW_M = 3.0
 _ABOVE_M, _BESIDE_M = 0.5, 0.3
-_KEEP = "keep people away and look after it"
+KEEP = "keep people away and look after it"
 
 
 class Descents:
@@ -61,14 +61,14 @@ class Descents:
         self._was_armed = fleet.armed.copy()
         for vehicle in self._tilted(lands & (tilt_deg > self._tilt_deg), now_ns):
             tilt = f"is tilted by {tilt_deg[vehicle]:.0f} degrees while it lands, limit {self._tilt_deg:g} degrees"
-            yield Finding(Reaction.FAILED, f"{tilt}; {_KEEP}", (vehicle,))
+            yield Finding(Reaction.FAILED, f"{tilt}; {KEEP}", (vehicle,))
         limit_m_s = np.where(height_m < _LOW_M, _SINKS_LOW_M_S, _SINKS_M_S)
         for vehicle in self._falls(lands & (sinks_m_s > limit_m_s), now_ns):
             sinks = f"comes down at {sinks_m_s[vehicle]:.1f} m/s, limit {limit_m_s[vehicle]:g} m/s"
-            yield Finding(Reaction.FAILED, f"{sinks}; {_KEEP}", (vehicle,))
+            yield Finding(Reaction.FAILED, f"{sinks}; {KEEP}", (vehicle,))
         for vehicle in self._cut(cut, now_ns):
             height = f"has disarmed {height_m[vehicle]:.1f} m above its pad's ground, limit {self._above_m:.2g} m"
-            yield Finding(Reaction.FAILED, f"{height}; {_KEEP}", (vehicle,))
+            yield Finding(Reaction.FAILED, f"{height}; {KEEP}", (vehicle,))
         beside_m = self._beside_m + self._wind.sway_m + self._speeds.sway_m
         for vehicle in self._ended(ended & (off_m > beside_m), now_ns):
             away = f"has landed {off_m[vehicle]:.2f} m from where it was told to, limit {beside_m:.2g} m"
