@@ -40,6 +40,7 @@ class Senses:
         self._index = index
         self._known, self._broken, self._estimator = state.known, state.broken, state.estimator
         self._motion, self._ground = state.dynamics.motion, state.dynamics.ground
+        self._frames = state.own_frames
 
     @property
     def pos_enu_m(self) -> Place:
@@ -50,8 +51,9 @@ class Senses:
 
     @property
     def yaw_enu_rad(self) -> float:
-        """Heading from east counter-clockwise."""
-        return float(self._motion.yaw_enu_rad[self._index])
+        """Believed heading from east counter-clockwise."""
+        off_rad = 0.0 if self._frames is None else float(self._frames.heading_rad[self._index])
+        return float(self._motion.yaw_enu_rad[self._index]) - off_rad
 
     @property
     def has_gps(self) -> bool:
@@ -132,8 +134,9 @@ class Senses:
 
     @property
     def up_enu(self) -> Place:
-        """Upward body axis, a unit vector in the world's frame."""
-        x, y, z = self._motion.up_enu[:, self._index].tolist()
+        """Upward body axis, a unit vector in the world's frame as the vehicle believes it."""
+        up = self._motion.up_enu
+        x, y, z = (up if self._frames is None else self._frames.believed(up))[:, self._index].tolist()
         return x, y, z
 
     @property
@@ -150,6 +153,7 @@ class Motors:
         self._motion, self._commands = state.dynamics.motion, state.dynamics.commands
         self._health, self._broken = state.dynamics.health, state.broken
         self._profile = state.profiles[index]
+        self._heading_off_rad = 0.0 if state.own_frames is None else float(state.own_frames.heading_rad[index])
 
     @property
     def thrust_m_s2(self) -> float:
@@ -198,7 +202,7 @@ class Motors:
             commands.yaw_used = True
         elif yaw_enu_rad is not None:
             commands.yaw_mask[i] = True
-            commands.yaw_sp_enu_rad[i] = yaw_enu_rad
+            commands.yaw_sp_enu_rad[i] = yaw_enu_rad + self._heading_off_rad
             commands.yaw_used = True
         elif not commands.yaw_mask[i]:
             commands.yaw_mask[i] = True

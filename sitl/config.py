@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from sitl.estimator import MOCAP, Noise
 from sitl.faults import Fault
 from sitl.network import PERFECT, LinkConfig
+from sitl.own_frame import OwnFrameConfig
 
 SECOND = 1_000_000_000
 
@@ -89,6 +90,7 @@ class WorldConfig:
         unix_start_us: date at power-up.
         real_boot: start-up takes as long as the real one.
         wind, downwash: options of the air.
+        own_frames: how far the vehicles' ideas of north and level are off; None: they are right.
         floor_m: height of the ground beside the pads, which stand on posts then; None: it is everywhere as high as
             each vehicle's pad.
         faults: what goes wrong when; more can be injected at run time.
@@ -106,5 +108,6 @@ class WorldConfig:
     real_boot: bool = False
     wind: WindConfig | None = None
     downwash: bool = False
+    own_frames: OwnFrameConfig | None = None
     floor_m: float | None = None
     faults: tuple[Fault, ...] = ()

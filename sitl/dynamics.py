@@ -19,6 +19,7 @@ from sitl.frames import Array
 from sitl.ground import Ground
 from sitl.loops import GRAVITY_M_S2, AttitudeLoop, HeadingLoop, Reference, VelocityLoop
 from sitl.motion import Commands, Health, Motion
+from sitl.own_frame import OwnFrames
 from sitl.profiles import Profile
 
 
@@ -43,6 +44,7 @@ class Dynamics:
         step_s: float,
         wind: Wind | None = None,
         downwash: Downwash | None = None,
+        own_frames: OwnFrames | None = None,
         floor_m: float | None = None,
     ) -> None:
         self.n = len(profiles)
@@ -52,7 +54,7 @@ class Dynamics:
         self.ground = Ground(pos_enu_m, floor_m)
         self._estimator = estimator
         self._dt, self._gravity = np.array(step_s), np.full(self.n, GRAVITY_M_S2)
-        self._reference = Reference(profiles, step_s)
+        self._reference = Reference(profiles, step_s, own_frames)
         self._velocity = VelocityLoop(profiles, step_s)
         self._attitude = AttitudeLoop(profiles, step_s)
         self._heading = HeadingLoop(profiles, step_s)

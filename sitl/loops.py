@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sitl.frames import Array, wrap_pi
 from sitl.motion import Commands, Health, Motion
+from sitl.own_frame import OwnFrames
 from sitl.profiles import Profile, column, columns, spread
 
 GRAVITY_M_S2 = 9.80665
@@ -40,10 +41,10 @@ def _shorten(vectors: Array, limit: Array) -> None:
 
 
 class Reference:
-    """The velocity that is to be followed now: position loop, dead time, command filters."""
+    """The velocity that is to be followed now: position loop, own idea of north and level, dead time, filters."""
 
-    def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
-        n = len(profiles)
+    def __init__(self, profiles: Sequence[Profile], step_s: float, own_frames: OwnFrames | None = None) -> None:
+        n, self._own_frames = len(profiles), own_frames
         self._kpos = spread(profiles, "loops.position_gain_per_s")
         delay = np.maximum(np.rint(column(profiles, "loops.dead_time_s") / step_s).astype(np.int64), 0)
         self._delay, self._cols = delay, np.arange(n)
@@ -80,6 +81,8 @@ class Reference:
             np.minimum(pull[2], limits[1], out=pull[2])
             np.maximum(pull[2], -limits[2], out=pull[2])
             command = command + pull
+        if self._own_frames is not None:
+            command = self._own_frames.flown(command)
         queue = self._queue
         queue[k % self._length] = command
         if self._delay_same is not None:

@@ -17,6 +17,7 @@ from sitl.dynamics import Dynamics
 from sitl.environment import Downwash, Wind
 from sitl.estimator import Estimator
 from sitl.frames import Array, Geodesy
+from sitl.own_frame import OwnFrames
 from sitl.pilot import Pilot
 from sitl.profiles import Profile
 from sitl.signing import VehicleSigning
@@ -111,11 +112,12 @@ class State:
         config: see ``WorldConfig``.
         profiles: how each vehicle flies.
         streamed: message types that can be streamed, in the order in which they are sent.
-        rng_estimate, rng_wind: of the estimates' errors, and of gusts.
+        rngs: of the estimates' errors, of gusts, and of own frames.
 
     Attributes:
         now_ns: the clock.
         dynamics, estimator, streams, geodesy: its parts.
+        own_frames: what the vehicles take for north and level; None: they are right.
         pilots: one per vehicle, once they are powered up.
         clocks, known, broken: what time they think it is, what their estimators know, what is wrong with them.
         talking: has sent its first bytes, shape (n,).
@@ -127,10 +129,10 @@ class State:
         config: WorldConfig,
         profiles: Sequence[Profile],
         streamed: Sequence[str],
-        rng_estimate: np.random.Generator,
-        rng_wind: np.random.Generator,
+        rngs: tuple[np.random.Generator, np.random.Generator, np.random.Generator],
     ) -> None:
-        n = len(config.vehicles)
+        n, (rng_estimate, rng_wind, rng_frames) = len(config.vehicles), rngs
+        self.own_frames = None if config.own_frames is None else OwnFrames(config.own_frames, n, rng_frames)
         self.config, self.n = config, n
         self.now_ns = config.start_ns
         step_s = config.physics_step_ns / SECOND
@@ -146,6 +148,7 @@ class State:
             step_s=step_s,
             wind=self._wind(rng_wind, step_s),
             downwash=self._downwash(),
+            own_frames=self.own_frames,
             floor_m=config.floor_m,
         )
         self.geodesy = Geodesy(config.home_lat_deg, config.home_lon_deg, config.home_alt_m)

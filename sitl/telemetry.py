@@ -78,7 +78,10 @@ class View:
         up = dynamics.motion.up_enu.copy()
         up[:2] += error[:2]
         up /= np.sqrt(np.add.reduce(up * up, axis=0))
-        yaw = frames.yaw_ned_from_enu(dynamics.motion.yaw_enu_rad + error[2])
+        yaw_enu_rad, own = dynamics.motion.yaw_enu_rad + error[2], self.state.own_frames
+        if own is not None:
+            up, yaw_enu_rad = own.believed(up), yaw_enu_rad - own.heading_rad
+        yaw = frames.yaw_ned_from_enu(yaw_enu_rad)
         roll, pitch = frames.euler_from_thrust(up, yaw)
         return roll, pitch, yaw
 

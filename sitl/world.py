@@ -76,12 +76,12 @@ class World:
         n = len(config.vehicles)
         _check(config)
         seeds = np.random.SeedSequence(seed).spawn(4 + 2 * n)
-        rng_estimate, rng_wind, self._rng_boot = (np.random.default_rng(s) for s in seeds[:3])
+        rng_estimate, rng_wind, self._rng_boot, rng_frames = (np.random.default_rng(s) for s in seeds[:4])
         messages = dict(_COMMON)
         for vehicle in config.vehicles:
             messages |= PERSONALITIES[vehicle.autopilot].messages
         profiles = [PROFILES[vehicle.profile] for vehicle in config.vehicles]
-        self.state = State(config, profiles, in_wire_order(messages), rng_estimate, rng_wind)
+        self.state = State(config, profiles, in_wire_order(messages), (rng_estimate, rng_wind, rng_frames))
         uplinks = [Channel(config.uplink, np.random.default_rng(s)) for s in seeds[4 : 4 + n]]
         downlinks = [Channel(config.downlink, np.random.default_rng(s)) for s in seeds[4 + n :]]
         self.links = list(zip(uplinks, downlinks, strict=True))

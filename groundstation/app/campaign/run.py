@@ -388,6 +388,7 @@ def emulated(case: Case, plan: MissionPlan) -> WorldConfig:
         vehicles=vehicles,
         wind=emulator.wind(),
         downwash=emulator.downwash,
+        own_frames=emulator.own_frames.config(),
         floor_m=0.0 if posts else None,
         faults=setting.faults.scheduled(),
     )

@@ -25,6 +25,7 @@ from groundstation.mission.timing import SECOND_NS
 from sitl.estimator import Noise
 from sitl.faults import Fault, FaultError, parse_fault
 from sitl.network import LinkConfig
+from sitl.own_frame import OwnFrameConfig
 from sitl.world import WindConfig
 
 _CELLS_MAX = 100_000
@@ -102,6 +103,23 @@ class LinkSpec(_Strict):
         )
 
 
+Angle = Annotated[Number, Field(ge=0, le=180)]
+
+
+class OwnFrameSpec(_Strict):
+    """How far each vehicle's own idea of north and of level is off, for the whole flight."""
+
+    heading_deg: Angle = 0.0
+    level_deg: Angle = 0.0
+    alike: bool = False
+
+    def config(self) -> OwnFrameConfig | None:
+        """The emulator's terms, None where they are right."""
+        if not self.heading_deg and not self.level_deg:
+            return None
+        return OwnFrameConfig(float(np.radians(self.heading_deg)), float(np.radians(self.level_deg)), self.alike)
+
+
 class EmulatorSpec(_Strict):
     """The world that the team flies in."""
 
@@ -110,6 +128,7 @@ class EmulatorSpec(_Strict):
     wind_enu_m_s: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
     gusts_m_s: NotNegative = 0.0
     downwash: bool = False
+    own_frames: OwnFrameSpec = OwnFrameSpec()
     streams: Literal["quiet", "usual"] = "quiet"
 
     def wind(self) -> WindConfig | None:

@@ -98,6 +98,7 @@ class Witness:
         self._crept: BoolArray = np.ones(n, dtype=np.bool_)
         self._ticks = 0
         self._upset: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._crooked = world.config.own_frames is not None  # whose frame is off may well stray
         self._end_ns = 0
         self._at_end: tuple[BoolArray, BoolArray] | None = None
 
@@ -244,7 +245,7 @@ class Witness:
             if world.dynamics.motion.touchdown_m_s[row] <= _SOFT_M_S:
                 self._add("said_hit", at)
         for number, _ in _SICK.findall(text):
-            if any(not self._upset[row] for row in self._rows([number])):
+            if not self._crooked and any(not self._upset[row] for row in self._rows([number])):
                 self._add("said_sick", at)
         for pair in _APART.findall(text):
             rows = self._rows(pair)

@@ -1,0 +1,49 @@
+"""Teams whose vehicles, sensors and graphs are worse than the law's assumptions, flown through the whole chain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from groundstation.app.campaign.cases import Case, Cases
+from groundstation.app.campaign.run import fly_case
+from groundstation.app.campaign.vary import load_vary
+from groundstation.app.resources import packaged_configs
+
+CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
+FOUR = """
+verify: true
+set:
+  rate_hz: 25
+  formation: ../formations/tetrahedron4.yaml
+  gains: ../gains/tetrahedron4.npz
+  avoidance.radius_m: 0.5
+  avoidance.activation_m: 0.6
+  position_error_m: 0.02
+  link_delay_s: 0.1
+  steps.1.hold.seconds: 1
+  steps.0.form: {tolerance_m: 0.1, timeout_s: 20}
+starts: {kind: planar}
+limit_s: 90
+"""
+EMULATOR = "emulator: {noise: {position_m: 0.02}, link: {delay_s: 0.05, loss: 0.02}, own_frames: {%s}}\n"
+
+
+def _case(folder: Path, text: str, run: int = 0) -> Case:
+    path = folder / "vary.yaml"
+    path.write_text(text, encoding="utf-8")
+    return Cases(CUBE8, load_vary(path), 3).case(run)
+
+
+@pytest.mark.parametrize("frames", ["heading_deg: 25, level_deg: 2", "heading_deg: 25, alike: true"])
+def test_a_team_with_wrong_north_and_level_forms(tmp_path: Path, frames: str) -> None:
+    row = fly_case(_case(tmp_path, FOUR + EMULATOR % frames))
+    assert (row["success"], row["error"], row["log_mismatches"]) == (True, "", 0), row["reason"]
+
+
+def test_a_team_beyond_the_bound_does_not_form_and_says_so(tmp_path: Path) -> None:
+    row = fly_case(_case(tmp_path, FOUR + EMULATOR % "heading_deg: 80, alike: true"))
+    assert not row["formed"]
+    assert row["error"] == ""
+    assert row["told"]
