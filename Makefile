@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # Some tests wait for real sockets and processes: one worker more than cores keeps the cores busy.
 PYTEST_WORKERS ?= 3
 
-.PHONY: install fly test docs paper refs fuzz clean
+.PHONY: install fly test browser docs paper refs fuzz clean
 
 install: $(STAMP)
 
@@ -31,12 +31,21 @@ fly: $(STAMP)
 	@echo 'To type gs alone: source $(BIN)/activate   (groundstation is a second name, where gs is Ghostscript)'
 
 # Everything that has to hold before a commit.
-test: $(STAMP)
+test: $(STAMP) browser
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS)
+
+# Debian's chromium, for the tests of the console; where it cannot be installed they are skipped, and say so.
+browser:
+	@command -v chromium >/dev/null || { \
+	  as=; [ "$$(id -u)" = 0 ] || as='sudo -n'; \
+	  apt() { timeout 300 $$as env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=60 "$$@" > /dev/null; }; \
+	  add() { apt install -y --no-install-recommends chromium; }; \
+	  add || { apt update && add; } || \
+	  echo 'no chromium, and apt-get could not install it here: tests in a browser are skipped; apt-get install chromium'; }
 
 # Flies the reference flights again, keeps their logs and prints what has changed: on purpose only.
 refs: $(STAMP)

@@ -204,7 +204,7 @@ def fly_dry(
                     display,
                     meter,
                     laws,
-                    *_shown(at_the_desk, plan, console=console),
+                    *_shown(at_the_desk, plan, meter, console=console),
                     *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),)),
                 ),
                 interrupts=interrupts,
@@ -264,9 +264,12 @@ def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Seque
     return controls, prompt
 
 
-def _shown(stack: ExitStack, plan: MissionPlan, *, console: bool) -> tuple[Viewers, ...]:
+def _shown(stack: ExitStack, plan: MissionPlan, meter: TruthMeter | None, *, console: bool) -> tuple[Viewers, ...]:
     """What shows the flight to consoles, where that is wished."""
-    return (stack.enter_context(Viewers(runtime_folder(os.environ, Path.home()), plan)),) if console else ()
+    if not console:
+        return ()
+    measured = dict if meter is None else meter.figures
+    return (stack.enter_context(Viewers(runtime_folder(os.environ, Path.home()), plan, measured)),)
 
 
 def _complete(log: TlogWriter | None) -> bool:
@@ -355,8 +358,8 @@ def fly_vehicles(
                     disk,
                     laws,
                     keeper,
-                    *_shown(at_the_desk, plan, console=console),
                     *(() if meter is None else (meter,)),
+                    *_shown(at_the_desk, plan, meter, console=console),
                 ),
                 interrupts=interrupts,
                 controls=controls,

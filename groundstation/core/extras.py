@@ -12,7 +12,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "mavlink": ("pymavlink",),
     "mavsdk": ("mavsdk",),
     "solvers": ("cvxpy",),
-    "console": ("nicegui",),
+    "console": ("nicegui", "fastapi", "uvicorn"),
     "crazyflie": ("cflib",),
 }
 """Extra of this project: the packages that it brings, by the names that they are imported by."""

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from groundstation.app.console.feed import Feed, ghost_enu_m, largest_error_m, remove_dead, smallest_distance_m
 from groundstation.app.console.guard import Guard, Keys, Message, Receive, Role, Scope, Send
 from groundstation.app.console.helm import HelmSeat
-from groundstation.app.console.snapshot import AIRBORNE, FIGURES, Snapshot, decode, encode
+from groundstation.app.console.snapshot import AIRBORNE, FIGURES, NOTES_MAX, Snapshot, decode, encode
 from groundstation.app.console.viewers import Viewers
 from groundstation.app.session import Session
 from groundstation.mission.operator import Order
@@ -26,7 +26,7 @@ from tests.app.test_order_socket import Desk
 
 TICK_NS = 20_000_000
 HOST = "127.0.0.1:8088"
-KEYS = Keys("look" * 8, "steer" * 8, frozenset({HOST, "localhost:8088"}), "gs_console_8088")
+KEYS = Keys("look" * 8, "steer" * 8, frozenset({HOST, "localhost:8088"}), "gs_console_8088", frozenset({"/flat"}))
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +179,16 @@ def test_a_fault_of_the_stream_is_kept_from_the_flight(desk: Desk, tmp_path: Pat
     feed.close()
 
 
+def test_each_note_is_kept_once_though_every_snapshot_tells_it_again(desk: Desk, tmp_path: Path) -> None:
+    feed, one = Feed(tmp_path, 1), _one(desk)
+    happened = [(float(number), "info", f"note {number % 3}") for number in range(100)]
+    for end in (0, 5, 5, 30, 31, 90, 100):  # the stream tells the newest 40; between 31 and 90 some are missed
+        told = tuple(happened[max(0, end - NOTES_MAX) : end])
+        feed.take(replace(one, words=replace(one.words, notes=told)))
+    assert feed.notes == happened[:31] + happened[50:]
+    feed.close()
+
+
 def test_sockets_of_dead_consoles_are_removed(tmp_path: Path) -> None:
     feed, dead = Feed(tmp_path, 1), tmp_path / "1-99999.view"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as item:
@@ -188,7 +198,7 @@ def test_sockets_of_dead_consoles_are_removed(tmp_path: Path) -> None:
     feed.close()
 
 
-def _ask(kind: str, query: str = "", **headers: str) -> tuple[bool, Message]:
+def _ask(kind: str, query: str = "", path: str = "/", **headers: str) -> tuple[bool, Message]:
     """Whether a request came through the guard, and what was answered first."""
     through: list[Scope] = []
     answers: list[Message] = []
@@ -203,7 +213,7 @@ def _ask(kind: str, query: str = "", **headers: str) -> tuple[bool, Message]:
         answers.append(message)
 
     listed = [(name.encode(), value.encode()) for name, value in headers.items()]
-    scope: Scope = {"type": kind, "query_string": query.encode(), "headers": listed, "path": "/"}
+    scope: Scope = {"type": kind, "query_string": query.encode(), "headers": listed, "path": path}
     asyncio.run(Guard(app, KEYS)(scope, receive, send))
     return bool(through), answers[0] if answers else {}
 
@@ -243,6 +253,9 @@ def test_a_key_in_the_address_becomes_a_cookie_that_scripts_and_other_sites_do_n
     headers = dict(answer["headers"])  # type: ignore[call-overload]
     assert (through, answer["status"], headers[b"location"]) == (False, 303, b"/")
     assert headers[b"set-cookie"] == f"gs_console_8088={KEYS.viewer}; Path=/; HttpOnly; SameSite=Strict".encode()
+    for path, onward in (("/flat", b"/flat"), ("//evil.example", b"/"), ("/other", b"/")):
+        answer = _ask("http", f"token={KEYS.viewer}", path, host=HOST)[1]
+        assert dict(answer["headers"])[b"location"] == onward  # type: ignore[call-overload]
     assert _ask("http", "token=guess", host=HOST)[1]["status"] == 403
     assert not _ask("websocket", f"token={KEYS.operator}", host=HOST)[0]
     assert KEYS.role(KEYS.operator) is Role.OPERATOR
@@ -276,6 +289,11 @@ def test_the_log_says_who_gave_an_order(tmp_path: Path) -> None:
         assert told == [f"order hold: given by console 12ab?{'x' * 47}"]
         desk.ask(b'{"order": "dance", "by": "me"}\n')
         assert not [note for note in desk.session.take_notes() if "given by" in note.text]
+
+
+def test_figures_of_the_emulator_stand_in_place_of_reported_ones(desk: Desk) -> None:
+    viewers = Viewers(Path("/nowhere"), desk.session.runner.plan, lambda: {"min_distance_m": 0.25})
+    assert viewers.snapshot(desk.session, desk.now_ns).figure("min_distance_m") == 0.25
 
 
 def test_the_figures_are_those_of_the_answer() -> None:

@@ -17,7 +17,7 @@ from tests.app.commands import gs
 _ROOT = Path(__file__).parents[2]
 _PROJECT = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 _IMPORTED_AS = {"pyyaml": "yaml", "pyserial": "serial"}
-_PART_OF = {"dask": "distributed"}  # comes with it
+_PART_OF = {"dask": "distributed", "fastapi": "nicegui", "uvicorn": "nicegui"}  # come with it
 
 
 def _packages(requirements: list[str]) -> set[str]:

@@ -25,7 +25,7 @@ def console(
         str | None, typer.Option(help="Mission, log or process id of the flight, where there are several.")
     ] = None,
     host: Annotated[str, typer.Option(help="Address to serve at; this machine alone by default.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to serve at.", min=1, max=65535)] = 8088,
+    port: Annotated[int, typer.Option(help="Port to serve at; 0 for one that is free.", min=0, max=65535)] = 8088,
 ) -> None:
     """Shows a flight that was begun with gs fly --console in a browser, and takes orders for it.
 
@@ -33,29 +33,32 @@ def console(
     goes on whatever becomes of the console.
     """
     need("console", "gs console")
-    from groundstation.app.console.serving import Served, serve
+    from groundstation.app.console.serving import FLAT, Place, serve_flight
 
     out = Output(as_json=False)
     path, about = choose_flight(*flights(runtime_folder(os.environ, Path.home())), flight)
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    with socket.socket() as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((host, port))
+            listening.bind((host, port))
+            listening.listen()
         except OSError as error:
             raise UserError(f"gs console: {host}:{port}: {error.strerror}; choose another with --port") from error
-    names = _LOOPBACK if host in _LOOPBACK else (host, *_LOOPBACK)
-    served = Served(host, port, names, path, int(about["pid"]))
-    keys = served.keys()
-    for role, secret in (("operator", keys.operator), ("viewer", keys.viewer)):
-        out.console.print(Text(f"{role:8}  http://{host}:{port}/?token={secret}", no_wrap=True), soft_wrap=True)
+        port = listening.getsockname()[1]
+        place = Place(listening, port, _LOOPBACK if host in _LOOPBACK else (host, *_LOOPBACK))
+        keys = place.keys()
+        for role, secret in (("operator", keys.operator), ("viewer", keys.viewer)):
+            out.console.print(Text(f"{role:8}  http://{host}:{port}/?token={secret}", no_wrap=True), soft_wrap=True)
+        out.console.print(Text(f"without the scene in 3D, for small machines: http://{host}:{port}{FLAT}?token=..."))
+        out.console.print(Text(_from_afar(host, port)))
+        serve_flight(place, keys, path, int(about["pid"]))
+
+
+def _from_afar(host: str, port: int) -> str:
+    tunnel = f"ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}"
     if host in _LOOPBACK:
-        words = (
-            f"from another machine: ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}, then the same address there"
-        )
-    else:
-        words = (
-            f"anybody on the network of {host} can read what is sent, keys too: better leave --host out and tunnel,"
-            f" ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}"
-        )
-    out.console.print(Text(words))
-    serve(served, keys)
+        return f"from another machine: {tunnel}, then the same address there"
+    return (
+        f"anybody on the network of {host} can read what is sent, keys too: better leave --host out and tunnel,"
+        f" {tunnel}"
+    )

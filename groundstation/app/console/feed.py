@@ -18,6 +18,7 @@ from groundstation.core.types import FloatArray
 from groundstation.mission.flight.keeping import heading_of
 
 _KEPT = 2_400
+_NOTES_KEPT = 10_000
 _TAKEN_MAX = 32  # of those that wait, at once
 
 
@@ -66,12 +67,14 @@ class Feed:
     Attributes:
         last: newest snapshot, None before the first.
         history: time, smallest distance, largest error of the formation, one row a snapshot, a tenth of a second apart.
+        notes: what happened: seconds, kind, text; each once, though every snapshot tells the newest again.
         problem: why the newest datagram could not be read.
     """
 
     def __init__(self, folder: Path, pid: int) -> None:
         self.last: Snapshot | None = None
         self.history: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
+        self.notes: list[tuple[float, str, str]] = []
         self.problem = ""
         self._path = folder / f"{pid}-{os.getpid()}.view"
         try:
@@ -105,8 +108,14 @@ class Feed:
     def take(self, snapshot: Snapshot) -> None:
         """Takes a snapshot."""
         self.last = snapshot
+        self._keep(snapshot.words.notes)
         if not self.history or snapshot.t_s - self.history[-1][0] >= 0.1:
             self.history.append((snapshot.t_s, smallest_distance_m(snapshot), largest_error_m(snapshot)))
+
+    def _keep(self, told: tuple[tuple[float, str, str], ...]) -> None:
+        known = self.notes[-1:]
+        since = max((at + 1 for at, note in enumerate(told) if [note] == known), default=0)
+        self.notes += told[since : since + max(0, _NOTES_KEPT - len(self.notes))]
 
 
 def remove_dead(folder: Path) -> None:

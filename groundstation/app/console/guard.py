@@ -36,12 +36,14 @@ class Keys:
         viewer, operator: the secrets.
         hosts: ``name:port`` by which the server may be called.
         cookie: name of the cookie, another one for each port.
+        paths: whoever came there with a key is sent on to the same; from everywhere else to the first page.
     """
 
     viewer: str
     operator: str
     hosts: frozenset[str]
     cookie: str
+    paths: frozenset[str] = frozenset()
 
     def role(self, secret: str) -> Role | None:
         """Whose secret it is."""
@@ -82,12 +84,12 @@ class Guard:
     """
 
     def __init__(self, app: App, keys: Keys) -> None:
-        self._app, self._keys = app, keys
+        self.app, self._keys = app, keys
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Lets a request through, turns a key into a cookie, or refuses."""
         if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         host, origin, cookies = (_header(scope, name) for name in (b"host", b"origin", b"cookie"))
         why = self._keys.judge(host or "", origin)
@@ -96,12 +98,14 @@ class Guard:
         token = parse_qs(query.decode("latin-1")).get("token", [""])[0] if isinstance(query, bytes) else ""
         if not why and scope["type"] == "http" and token and self._keys.role(token):
             cookie = f"{self._keys.cookie}={token}; Path=/; HttpOnly; SameSite=Strict"
-            await _answer(send, 303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+            path = scope.get("path")
+            onward = path if isinstance(path, str) and path in self._keys.paths else "/"
+            await _answer(send, 303, "", [(b"location", onward.encode()), (b"set-cookie", cookie.encode())])
             return
         if not why and role is None:
             why = "open the address that gs console has printed: it holds the key, ?token=..."
         if not why:
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": why[:120]})

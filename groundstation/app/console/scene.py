@@ -1,7 +1,4 @@
-"""The team in three dimensions: vehicles with attitude and trail, safety regions, graph, ghost, pads and fence.
-
-Colours are those of Okabe and Ito, which people with any kind of colour vision tell apart.
-"""
+"""The team in three dimensions: vehicles with attitude and trail, safety regions, graph, ghost, pads and fence."""
 
 from __future__ import annotations
 
@@ -11,12 +8,12 @@ from collections import deque
 import numpy as np
 from nicegui import ui
 
+from groundstation.app.console.charts import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
 from groundstation.app.console.feed import distances_m, ghost_enu_m, wished_m
 from groundstation.app.console.snapshot import FOREIGN, HELD, LOST, Snapshot
 from groundstation.core import frames
 from groundstation.core.types import FloatArray
 
-BLUE, ORANGE, VERMILION, GREEN, SKY, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#56B4E9", "#888888"
 _TRAIL = 150
 _EDGE_GOOD_M, _EDGE_BAD_M = 0.1, 0.5
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -46,7 +43,6 @@ class TeamScene:
         self._middle, self._size_m = (low + high) / 2, float(np.max(high - low))
         self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL) for _ in range(n)]
         self.view = ui.scene(grid=(20, 20), background_color="#20242a" if dark else "#f4f4f4").classes("w-full h-96")
-        self.view.mark("scene")
         body_m = 0.35 * r_m
         with self.view as scene:
             for pad_m in snapshot.pads_enu_m:
@@ -65,14 +61,20 @@ class TeamScene:
         self._r_m = r_m
         self.look("side")
 
-    def look(self, where: str, snapshot: Snapshot | None = None) -> None:
-        """Moves the camera: top, side, or follow, which is near the team."""
-        x, y, z = self._middle.tolist()
-        away = 0.5 * self._size_m
-        if where == "follow" and snapshot is not None and np.isfinite(snapshot.pos_team_enu_m).any():
-            x, y, z = np.nanmean(snapshot.pos_team_enu_m, axis=0).tolist()
-            away = 1.5 * max(1.0, float(np.nanmax(np.ptp(snapshot.pos_team_enu_m, axis=0))))
-        top = where == "top"
+    def look(self, where: str) -> None:
+        """Moves the camera: top, side, or follow, which stays near the team."""
+        self._follows = where == "follow"
+        if not self._follows:
+            self._aim(self._middle, 0.5 * self._size_m, top=where == "top")
+
+    def _follow(self, snapshot: Snapshot) -> None:
+        known = np.isfinite(snapshot.pos_team_enu_m).all(axis=1)
+        if known.any():
+            pos_m = snapshot.pos_team_enu_m[known]
+            self._aim(pos_m.mean(axis=0), 1.5 * max(1.0, float(np.ptp(pos_m, axis=0).max())), top=False)
+
+    def _aim(self, at_m: FloatArray, away: float, *, top: bool) -> None:
+        x, y, z = at_m.tolist()
         self.view.move_camera(
             x, y - (0.01 if top else away), z + (away if top else 0.25 * away), look_at_x=x, look_at_y=y, look_at_z=z
         )
@@ -98,6 +100,8 @@ class TeamScene:
             self._trails[row].append(at)
         if slowly:
             self._graph(snapshot)
+            if self._follows:
+                self._follow(snapshot)
             for cloud, trail in zip(self._clouds, self._trails, strict=True):
                 if trail:
                     cloud.set_points(list(trail), [[0.0, 0.45, 0.7]] * len(trail))

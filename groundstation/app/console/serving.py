@@ -1,81 +1,100 @@
-"""Serves the page: one process, one flight; its own port on this machine."""
+"""Serves pages: one process, one flight; its own port on this machine."""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+import socket
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import uvicorn
+from fastapi import FastAPI
 from nicegui import app, context, ui
 
 from groundstation.app.console.feed import Feed, remove_dead
-from groundstation.app.console.guard import Guard, Keys
+from groundstation.app.console.guard import Guard, Keys, Role
 from groundstation.app.console.helm import HelmSeat
 from groundstation.app.console.page import Desk, Page
 from groundstation.app.order_client import ask
 
 _ANSWER_S = 5.0
 _READ_S = 0.05
+_CLOSE_S = 1  # to pages that are open when it is ended
+SOLID, FLAT = "/", "/flat"
+"""Pages with the scene in three dimensions and without it."""
+
+PageMaker = Callable[[Role, str, str, bool], Callable[[], None]]
+"""Builds a page for a role, its own name, its name for people, and whether with the scene; returns what to do when it
+is closed."""
 
 
 @dataclass(frozen=True)
-class Served:
-    """What is served and where.
+class Place:
+    """Where pages are served.
 
     Attributes:
-        host, port: where it listens.
+        socket: bound and listening, so that whoever is given the address finds somebody there.
+        port: where it listens.
         names: by which it may be called.
-        orders: the flight's order socket.
-        pid: the flight's process.
     """
 
-    host: str
+    socket: socket.socket
     port: int
     names: tuple[str, ...]
-    orders: Path
-    pid: int
 
     def keys(self) -> Keys:
         """New secrets."""
         hosts = frozenset(f"{name}:{self.port}" for name in self.names)
-        return Keys(secrets.token_urlsafe(24), secrets.token_urlsafe(24), hosts, f"gs_console_{self.port}")
+        return Keys(
+            secrets.token_urlsafe(24), secrets.token_urlsafe(24), hosts, f"gs_console_{self.port}", frozenset({FLAT})
+        )
 
 
-def serve(served: Served, keys: Keys) -> None:
-    """Serves until it is ended."""
-    remove_dead(served.orders.parent)
-    feed = Feed(served.orders.parent, served.pid)
+def serve_flight(place: Place, keys: Keys, orders: Path, pid: int) -> None:
+    """Shows a flight that is under way until the console is ended.
+
+    Args:
+        place: where.
+        keys: who is let in.
+        orders: the flight's order socket.
+        pid: the flight's process.
+    """
+    remove_dead(orders.parent)
+    feed = Feed(orders.parent, pid)
 
     def tell(order: str, by: str) -> Mapping[str, object]:
         try:
-            return ask(served.orders, {"order": order, "by": by}, _ANSWER_S)
+            return ask(orders, {"order": order, "by": by}, _ANSWER_S)
         except (OSError, ValueError) as error:
             return {"ok": False, "why": f"the flight did not answer: {error}; whether it was obeyed is not known"}
 
     desk = Desk(feed, HelmSeat(), tell)
 
-    @ui.page("/")
-    def page() -> None:
+    def make(role: Role, page: str, name: str, solid: bool) -> Callable[[], None]:
+        Page(desk, role, page, name, solid=solid)
+        return lambda: desk.helm.leave(page)
+
+    app.on_shutdown(feed.close)
+    app.timer(_READ_S, feed.read)
+    serve(place, keys, make)
+
+
+def serve(place: Place, keys: Keys, make: PageMaker) -> None:
+    """Serves pages until it is ended."""
+
+    def page(*, solid: bool) -> None:
         client = context.client
         request = client.request
         role = None if request is None else keys.role_of_cookies(request.headers.get("cookie", ""))
-        if role is None:  # the guard has seen to it
+        if request is None or role is None:  # the guard has seen to it
             return
-        address = request.client.host if request is not None and request.client is not None else "?"
-        Page(desk, role, client.id, f"console {role.value} {client.id[:4]} at {address}")
-        client.on_delete(lambda: desk.helm.leave(client.id))
+        address = request.client.host if request.client is not None else "?"
+        client.on_delete(make(role, client.id, f"console {role.value} {client.id[:4]} at {address}", solid))
 
-    app.add_middleware(Guard, keys=keys)
-    app.on_shutdown(feed.close)
-    app.timer(_READ_S, feed.read)
-    ui.run(
-        host=served.host,
-        port=served.port,
-        title="gs console",
-        dark=None,
-        reload=False,
-        show=False,
-        show_welcome_message=False,
-        uvicorn_logging_level="warning",
-    )
+    for path in (SOLID, FLAT):
+        ui.page(path)(lambda path=path: page(solid=path == SOLID))
+    outer = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    ui.run_with(outer, title="gs console", dark=None, show_welcome_message=False)
+    config = uvicorn.Config(Guard(outer, keys), ws="wsproto", log_level="warning", timeout_graceful_shutdown=_CLOSE_S)
+    uvicorn.Server(config).run(sockets=[place.socket])

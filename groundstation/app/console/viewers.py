@@ -11,6 +11,7 @@ import contextlib
 import os
 import socket
 from collections import deque
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -39,6 +40,7 @@ EVERY_NS = SECOND_NS // 20
 """Between two snapshots, at least."""
 _SEARCH_NS = SECOND_NS
 _ENDLESS_S = 1e9
+_LAST_S = 1.0
 _TEXT_MAX = 300
 
 
@@ -48,6 +50,8 @@ class Viewers:
     Args:
         folder: where the consoles' sockets are.
         plan: the mission.
+        measured: figures that stand in place of what the vehicles report: the emulator's truth, as in the answer of
+            ``gs fly --json``.
 
     Attributes:
         sent: snapshots that were taken.
@@ -55,10 +59,10 @@ class Viewers:
         problem: why nothing is sent any more, "" while all is well.
     """
 
-    def __init__(self, folder: Path, plan: MissionPlan) -> None:
+    def __init__(self, folder: Path, plan: MissionPlan, measured: Callable[[], Mapping[str, float]] = dict) -> None:
         self.sent = self.lost = 0
         self.problem = ""
-        self._folder, self._plan = folder, plan
+        self._folder, self._plan, self._measured = folder, plan, measured
         self._found: list[Path] = []
         self._next_ns = self._search_ns = 0
         self._notes: deque[tuple[float, str, str]] = deque(maxlen=NOTES_MAX)
@@ -93,6 +97,8 @@ class Viewers:
                 self._found = sorted(self._folder.glob(f"{os.getpid()}-*.view"))
             if self._found and (now_ns >= self._next_ns or over):
                 self._next_ns = now_ns + EVERY_NS
+                if over and self._socket is not None:  # nobody is steered any more: the last one may wait for room
+                    self._socket.settimeout(_LAST_S)
                 self._send(encode(self.snapshot(session, now_ns)))
         except Exception as error:
             self.problem = f"{type(error).__name__}: {error}"
@@ -122,7 +128,7 @@ class Viewers:
         role = runner.role_of_agent
         bits = ((look.held, HELD), (look.lost, LOST), (look.foreign, FOREIGN), (runner.airborne, AIRBORNE))
         state = fleet.armed * ARMED + sum(mask * bit for mask, bit in bits)
-        known = {"setpoints": runner.setpoints_sent}
+        known = {"setpoints": runner.setpoints_sent, **self._measured()}
         row_of_role = np.argsort(role)
         edges = np.array(look.formation.edges, dtype=np.int64).reshape(-1, 2)
         fence = plan.spec.fence

@@ -1,0 +1,137 @@
+"""The console in a real browser: a flight in real time is watched and steered; who may not gets nowhere.
+
+Real time and other people's programs: pages are waited for, patiently, and nothing is judged by how long it took.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from tests.app.browser import chromium, opened
+
+GS = (sys.executable, "-m", "groundstation")
+FLIGHT = "fly --mission cube8 --dry-run --realtime --console --seed 1 --json --set steps.1.hold.seconds=120"
+_SOCKET = """url => new Promise(say => {
+  const socket = new WebSocket(url);
+  socket.onopen = () => say("open");
+  socket.onerror = () => say("refused");
+})"""
+
+
+@contextmanager
+def started(arguments: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A command of gs as a process of its own, killed at the end where it still runs."""
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "COLUMNS": "200"}
+    with subprocess.Popen(
+        [*GS, *arguments.split()],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def addresses(console: subprocess.Popen[str]) -> Mapping[str, str]:
+    """What a console prints, by role: pages without the scene in 3D, which is dear without a graphics card."""
+    found: dict[str, str] = {}
+    assert console.stdout is not None
+    for line in console.stdout:
+        role, _, url = line.partition("http://")
+        found[role.strip()] = "http://" + url.strip().replace("/?", "/flat?")
+        if "ssh -L" in line:
+            return found
+    pytest.fail(f"gs console ended before it had told its addresses: {console.communicate()}")
+
+
+@pytest.fixture
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short name: sockets go into it."""
+    return tmp_path_factory.mktemp("c")
+
+
+def test_a_flight_is_watched_and_steered_through_consoles_that_come_and_go(folder: Path) -> None:
+    with chromium() as browser, started(FLIGHT, folder) as flight:
+        assert flight.stderr is not None
+        told = ""
+        while not re.search(r"phase +connect", told):
+            told = flight.stderr.readline()
+            assert told, "the flight ended before it began"
+        with started("console --port 0", folder) as console:
+            steer = opened(browser, addresses(console)["operator"])
+            steer.shows("title", "cube8")
+            steer.shows("phase", "hold")
+            phases = re.compile(
+                ".*".join(f"phase +{name}" for name in ("connect", "arm", "takeoff", "form", "hold")), re.S
+            )
+            expect(steer.page.get_by_test_id("notes")).to_have_text(phases)
+            expect(steer.page.get_by_role("button", name="hold (h)")).to_be_disabled()
+            steer.press("take the helm")
+            steer.press("hold (h)")
+            steer.shows("phase", "pause")
+            steer.shows("answer", "hold: taken")
+            assert steer.wrong == []
+            console.send_signal(signal.SIGKILL)  # in mid-flight; the next one comes into what has gone on
+        with started("console --port 0", folder) as console:
+            at = addresses(console)
+            steer, look = (opened(browser, at[role]) for role in ("operator", "viewer"))
+            look.shows("phase", "pause")
+            look.page.keyboard.press("r")
+            look.shows("answer", "resume: this page may only look: it was opened with the viewer's key")
+            for button in ("resume (r)", "back to pads (b)", "land all (l)", "KILL: hold 1.5 s"):
+                expect(look.page.get_by_role("button", name=button)).to_be_disabled()
+            nobody_else_gets_in(browser, at["operator"], at["viewer"])
+            steer.press("take the helm")
+            expect(look.page.get_by_test_id("helm")).to_contain_text("steers")
+            steer.page.keyboard.press("r")  # where a button was clicked before
+            steer.shows("phase", "hold")
+            steer.shows("answer", "resume: taken")
+            steer.press("land all (l)")
+            steer.shows("phase", "done")
+            out, err = flight.communicate()
+            ended = json.loads(out)
+            for tab in (steer, look):
+                tab.shows("outcome", ended["outcome"])
+                tab.shows("reason", ended["reason"])
+                for name in ("min_distance_m", "formation_error_m"):
+                    tab.shows(name, f"{ended[name]:.3f} m")
+                tab.shows("time_to_form_s", f"{ended['time_to_form_s']:.2f} s")
+                for name in ("setpoints", "ticks", "deadline_misses"):
+                    tab.shows(name, str(ended[name]))
+                assert tab.wrong == []
+    assert (ended["outcome"], ended["reason"], ended["vehicles"]) == ("aborted", "landed by the operator", 8)
+    given = re.findall(r"order ([a-z ]+): given by console operator", err)
+    assert given == ["hold", "resume", "land all"]
+
+
+def nobody_else_gets_in(browser: Browser, operator: str, viewer: str) -> None:
+    """A page without a key, and a page of another site in a browser that has one."""
+    base = operator.partition("/flat")[0]
+    socket = base.replace("http", "ws") + "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+    with browser.new_context() as context:
+        page = context.new_page()
+        answer = page.goto(base)
+        assert answer is not None
+        assert answer.status == 403
+        assert "it holds the key" in page.inner_text("body")
+        assert page.evaluate(_SOCKET, socket) == "refused"
+        page.goto(viewer)
+        assert page.evaluate(_SOCKET, socket) == "open"  # so that it is the key that was missing
+        context.route("http://*.example/**", lambda route: route.fulfill(body="elsewhere"))
+        page.goto("http://elsewhere.example/")
+        assert page.evaluate(_SOCKET, socket) == "refused"
