@@ -47,3 +47,26 @@ def test_a_team_beyond_the_bound_does_not_form_and_says_so(tmp_path: Path) -> No
     assert not row["formed"]
     assert row["error"] == ""
     assert row["told"]
+
+
+def _sensed(sensing: str) -> str:
+    link = "emulator: {noise: {position_m: 0.02}, link: {delay_s: 0.05, loss: 0.02}}\n"
+    return FOUR.replace("starts:", f"  sensing: {{{sensing}}}\nstarts:") + link
+
+
+@pytest.mark.parametrize("more", ["share: either", "share: own, memory_s: 0.5"])
+def test_a_team_forms_with_poor_sensors_and_its_log_is_flown_again_to_the_same_bytes(tmp_path: Path, more: str) -> None:
+    limited = "range_m: 6, field_of_view_deg: 340, loss: 0.3, noise_m: 0.03, heading_deg: 10, level_deg: 2, "
+    row = fly_case(_case(tmp_path, _sensed(limited + more)))
+    assert (row["success"], row["error"], row["log_mismatches"], row["log_complete"]) == (True, "", 0, True), row
+
+
+@pytest.mark.parametrize("unseen", ["wait", "leave_out"])
+def test_a_team_that_senses_nobody_does_not_form_says_so_and_keeps_r(tmp_path: Path, unseen: str) -> None:
+    row = fly_case(_case(tmp_path, _sensed(f"range_m: 0.2, unseen: {unseen}")))
+    assert not row["formed"]
+    assert row["safe"]
+    assert row["min_distance_m"] >= row["safety_radius_m"]
+    assert row["told"]
+    assert row["log_mismatches"] == 0
+    assert "not formed" in row["reason"]

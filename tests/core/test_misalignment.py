@@ -150,3 +150,28 @@ def test_a_turn_of_view_and_motion_together_changes_nothing() -> None:
     level = formation_control(local_views(pos_ned_m, np.zeros((8, 3)), LEVEL, everybody), task, FREE)
     own = formation_control(local_views(pos_ned_m, np.zeros((8, 3)), turned, everybody), task, FREE)
     assert _by(-yaw)(own) == pytest.approx(level)
+
+
+def _switched(pos_m: FloatArray, *, waits: bool, both_ways: bool) -> FloatArray:
+    """Points under (2) whose edges are lost a third of the time, anew every 0.2 s; who lacks one waits, or goes on."""
+    rng, edges = np.random.default_rng(8), np.abs(A_XY) + np.abs(A_Z) > 1e-9
+    flat, z = pos_m[:, 0] + 1j * pos_m[:, 1], pos_m[:, 2].copy()
+    for _ in range(150):
+        there = rng.random((8, 8)) > 1.0 / 3.0
+        if both_ways:
+            there = np.triu(there, 1) | np.triu(there, 1).T
+        there = np.asarray(there & edges & ~np.eye(8, dtype=bool))
+        moves = np.asarray((there == (edges & ~np.eye(8, dtype=bool))).all(axis=1)) if waits else np.ones(8, dtype=bool)
+        a_xy, a_z = _full(np.where(there, A_XY, 0.0)), _full(np.where(there, A_Z, 0.0).astype(complex)).real
+        for _ in range(100):
+            flat = flat + 0.002 * moves * (a_xy @ flat)
+            z = z + 0.002 * moves * (a_z @ z)
+    return np.stack([flat.real, flat.imag, z], axis=1)
+
+
+@pytest.mark.parametrize("both_ways", [True, False])
+def test_with_edges_lost_and_found_who_waits_comes_to_the_formation_and_who_goes_on_does_not(both_ways: bool) -> None:
+    """Why agents wait: c_i = 0 for a while is within Theorem 2 and Remark 3, a sum that lacks a term is not."""
+    waited, went_on = (_switched(_start(3), waits=waits, both_ways=both_ways) for waits in (True, False))
+    assert _away_m(waited) < 0.01 * float(waited[:, :2].std(axis=0).max())
+    assert _away_m(went_on) > 0.2 * float(went_on[:, :2].std(axis=0).max())  # of its size, which it loses as well

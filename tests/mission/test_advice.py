@@ -46,3 +46,21 @@ def test_a_gain_that_the_lag_does_not_allow_is_told() -> None:
     assert len(told) == 1
     assert "gain: 1 is " in told[0]
     assert "the team may swing" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("sensing", "words"),
+    [
+        ("{range_m: 0.9}", "range_m: 0.9 m is less than the longest edge of cube8, 1.00 m"),
+        ("{field_of_view_deg: 120, share: both}", "face one way never see each other"),
+    ],
+)
+def test_a_sensor_that_loses_neighbours_in_the_very_formation_is_told(sensing: str, words: str) -> None:
+    told = advice(load_mission(MISSIONS / "cube8.yaml", [f"sensing={sensing}"]))
+    assert len(told) == 1
+    assert words in told[0]
+
+
+@pytest.mark.parametrize("sensing", ["{range_m: 1.1}", "{field_of_view_deg: 120}", "{loss: 0.3}"])
+def test_one_that_does_not_is_not(sensing: str) -> None:
+    assert advice(load_mission(MISSIONS / "cube8.yaml", [f"sensing={sensing}"])) == []

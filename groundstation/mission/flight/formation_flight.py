@@ -25,6 +25,7 @@ from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.keeping import added
 from groundstation.mission.flight.leading import Leading
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.sensing import Sensing
 from groundstation.mission.flight.step import Now, StepFlight
 from groundstation.mission.flight.steps import step_flight
 from groundstation.mission.flight.under_way import UnderWay
@@ -85,6 +86,8 @@ class FormationFlight:
         self._able_gain = np.inf
         self._doing: StepFlight | None = None
         self._going_home = False
+        sensing, ids = plan.spec.sensing, [vehicle.id for vehicle in plan.spec.vehicles]
+        self._sensing = None if sensing is None else Sensing(sensing, ids, self._now.tell)
         self._gridlocks = Gridlocks(
             n,
             GridlockParams(
@@ -256,6 +259,7 @@ class FormationFlight:
             detour_enu_m_s=self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s)) if forming else None,
             motion=added(tick.motion, kept),
             present=tick.present,
+            sight=None if self._sensing is None else self._sensing.look(now_ns, poses, self._task.neighbours),
         )
         guidance = self._helm.formation(poses, self._sized_task(self._task), course)
         for words in self._helm.guide.take_words():

@@ -29,6 +29,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, alone, local_views
 from groundstation.mission.flight.fleeing import Fleeing
 from groundstation.mission.flight.poses import OncePerPoses, Poses
+from groundstation.mission.flight.sensing import Sight
 from groundstation.mission.flight.surroundings import Surroundings
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW
 from groundstation.mission.plan.plan import MissionPlan
@@ -72,6 +73,7 @@ class Course:
         motion: what the formation does as one; None at rest.
         present: the part of it that shows in velocities already.
         members: agents that fly the formation, shape (n,); None for all.
+        sight: what the law is shown where agents' own sensors see less; None where they see all neighbours.
     """
 
     stage: Stage
@@ -81,6 +83,7 @@ class Course:
     motion: Motion | None = None
     present: Motion | None = None
     members: BoolArray | None = None
+    sight: Sight | None = None
 
 
 class Guide:
@@ -158,13 +161,16 @@ class Guide:
         else:
             views = self._views(poses, task.neighbours)
         motion = course.motion
-        seen, common_enu = views, None
+        seen, common_enu = views if course.sight is None else course.sight.views, None
         if motion is not None:
             places = self._places(poses, views, course)
             common_enu = motion.rigid(places.from_centre_m)
             if course.present is not None:
-                seen = self._without(poses, views, course.present)
+                seen = self._without(poses, seen, course.present)
         wish = self._law(seen, task, course)
+        if course.sight is not None:
+            # Theorem 2 with c_i = 0 for a while: who lacks a neighbour does nothing wrong by doing nothing.
+            wish = np.where(course.sight.waits[:, None], 0.0, wish)
         if motion is not None:
             grown = motion.growth_1_s * places.from_centre_m
             wish = wish + _flu_from_enu(poses, grown)

@@ -11,6 +11,7 @@ from groundstation.mission.plan.stages import Stage
 _ZERO_1_S = 5e-6  # a design whose slowest mode is not above 1e-5 is refused
 _SETTLED = 3.0  # time constants until a twentieth of an error is left
 _MUCH = 2.0
+_HALF_AROUND_DEG = 180.0
 
 
 def advice(plan: MissionPlan) -> list[str]:
@@ -27,7 +28,7 @@ def advice(plan: MissionPlan) -> list[str]:
                 for step, of in zip(plan.spec.steps, plan.stage_of_step, strict=True)
                 if step.form is not None and of == number
             ]
-            lines += [*_weak(stage, min(timeouts, default=np.inf)), *_tuned(plan, stage)]
+            lines += [*_weak(stage, min(timeouts, default=np.inf)), *_tuned(plan, stage), *_unseen(plan, stage)]
     return [f"{plan.source}: {line}" for line in dict.fromkeys(lines)]
 
 
@@ -51,6 +52,26 @@ def _weak(stage: Stage, timeout_s: float) -> list[str]:
         f" {stage.control_gain:.2g} a twentieth of an error is left after {needs_s:.3g} s, timeout_s is {timeout_s:g}"
         " s; give it more edges (gs design --suggest-graph balanced)"
     ]
+
+
+def _unseen(plan: MissionPlan, stage: Stage) -> list[str]:
+    """Neighbours that would lose each other in the very formation."""
+    sensing, shape = plan.spec.sensing, stage.formation
+    if sensing is None or not shape.edges:
+        return []
+    lines = []
+    longest_m = max(float(shape.distances_m[i, j]) for i, j in shape.edges)
+    if sensing.range_m is not None and sensing.range_m < longest_m:
+        lines.append(
+            f"sensing.range_m: {sensing.range_m:g} m is less than the longest edge of {shape.name}, {longest_m:.2f} m:"
+            " its ends lose each other in the formation; see farther, or design the formation with shorter edges"
+        )
+    if sensing.field_of_view_deg <= _HALF_AROUND_DEG and sensing.share == "both":
+        lines.append(
+            f"sensing.field_of_view_deg: with {sensing.field_of_view_deg:g} and share: both two vehicles that face"
+            " one way never see each other; write share: either, or see more"
+        )
+    return lines
 
 
 def _tuned(plan: MissionPlan, stage: Stage) -> list[str]:
