@@ -1,20 +1,26 @@
-"""``gs console``: the page of a flight that is under way; a process of its own, which may come and go."""
+"""``gs console``: the page of a flight that is under way, or of recorded ones; a process that may come and go."""
 
 from __future__ import annotations
 
 import os
 import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.text import Text
 
 from groundstation.app.commands.command import choose_flight
+from groundstation.app.completing import logs
 from groundstation.app.order_client import flights, runtime_folder
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
 from groundstation.core.extras import need
+
+if TYPE_CHECKING:
+    from groundstation.app.console.serving import Place
 
 _LOOPBACK = ("127.0.0.1", "localhost")
 
@@ -24,34 +30,82 @@ def console(
     flight: Annotated[
         str | None, typer.Option(help="Mission, log or process id of the flight, where there are several.")
     ] = None,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(help="Replay this log instead; twice for two side by side.", autocompletion=logs),
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to serve at; this machine alone by default.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve at; 0 for one that is free.", min=0, max=65535)] = 8088,
 ) -> None:
-    """Shows a flight that was begun with gs fly --console in a browser, and takes orders for it.
+    """Shows a flight that was begun with gs fly --console in a browser, and takes orders for it; or replays logs there.
 
     Two addresses are printed: whoever has the operator's may give orders, whoever has the viewer's may look. The flight
     goes on whatever becomes of the console.
     """
     need("console", "gs console")
-    from groundstation.app.console.serving import FLAT, Place, serve_flight
-
     out = Output(as_json=False)
+    if log:
+        _replay(out, log, flight, host, port)
+        return
+    from groundstation.app.console.serving import serve_flight
+
     path, about = choose_flight(*flights(runtime_folder(os.environ, Path.home())), flight)
-    with socket.socket() as listening:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    with _listening(host, port) as place:
+        keys = place.keys()
+        _tell(out, place, host, {"operator": keys.operator, "viewer": keys.viewer})
+        serve_flight(place, keys, path, int(about["pid"]))
+
+
+def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, port: int) -> None:
+    """Shows recorded flights.
+
+    Raises:
+        UserError: they cannot be read, or what is asked for does not go together.
+        CheckFailed: there is nothing to be seen in them.
+    """
+    from groundstation.app.console.recorded import Recorded
+    from groundstation.app.console.serving import serve_replay
+    from groundstation.app.replaying import useful_flight
+    from groundstation.app.resources import find_log
+
+    if flight is not None:
+        raise UserError("--log replays what was recorded, --flight shows what is under way; leave one of them out")
+    if len(logs) > 2:
+        raise UserError(f"--log: {len(logs)} logs, two go side by side at most; gs compare takes more")
+    shown = [Recorded(useful_flight(out, find_log(log), "there is nothing to replay")) for log in logs]
+    with _listening(host, port) as place:
+        keys = place.keys()
+        _tell(out, place, host, {"replay": keys.viewer})
+        serve_replay(place, keys, shown)
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[Place]:
+    """A place that is found by whoever is given its address.
+
+    Raises:
+        UserError: it is taken, or not of this machine.
+    """
+    from groundstation.app.console.serving import Place
+
+    with socket.socket() as item:
+        item.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listening.bind((host, port))
-            listening.listen()
+            item.bind((host, port))
+            item.listen()
         except OSError as error:
             raise UserError(f"gs console: {host}:{port}: {error.strerror}; choose another with --port") from error
-        port = listening.getsockname()[1]
-        place = Place(listening, port, _LOOPBACK if host in _LOOPBACK else (host, *_LOOPBACK))
-        keys = place.keys()
-        for role, secret in (("operator", keys.operator), ("viewer", keys.viewer)):
-            out.console.print(Text(f"{role:8}  http://{host}:{port}/?token={secret}", no_wrap=True), soft_wrap=True)
-        out.console.print(Text(f"without the scene in 3D, for small machines: http://{host}:{port}{FLAT}?token=..."))
-        out.console.print(Text(_from_afar(host, port)))
-        serve_flight(place, keys, path, int(about["pid"]))
+        yield Place(item, item.getsockname()[1], _LOOPBACK if host in _LOOPBACK else (host, *_LOOPBACK))
+
+
+def _tell(out: Output, place: Place, host: str, secrets: Mapping[str, str]) -> None:
+    from groundstation.app.console.serving import FLAT
+
+    at = f"http://{host}:{place.port}"
+    for role, secret in secrets.items():
+        out.console.print(Text(f"{role:8}  {at}/?token={secret}", no_wrap=True), soft_wrap=True)
+    out.console.print(Text(f"without the scene in 3D, for small machines: {at}{FLAT}?token=..."))
+    out.console.print(Text(_from_afar(host, place.port)))
 
 
 def _from_afar(host: str, port: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,7 +25,8 @@ def chart_options(title: str, rows: FloatArray, colour: str, limit: float = np.n
         limit: drawn across; NaN for none.
     """
     known = rows[np.isfinite(rows).all(axis=1)]
-    across = [{"yAxis": limit, "name": "r"}] if np.isfinite(limit) else []
+    label = {"formatter": "r", "position": "insideEndTop", "color": VERMILION}
+    across = [{"yAxis": limit, "label": label}] if np.isfinite(limit) else []
     return {
         "title": {"text": title, "textStyle": {"fontSize": 12, "color": GREY}},
         "grid": {"top": 30, "bottom": 25, "left": 45, "right": 15},
@@ -51,6 +53,78 @@ _AXIS: Options = {
 """Grey is read on light and on dark ground."""
 
 
-def columns_of(history: Sequence[Sequence[float]], column: int) -> FloatArray:
+def columns_of(history: Sequence[Sequence[float]] | FloatArray, column: int) -> FloatArray:
     """Seconds and one of the values, shape (k, 2)."""
-    return np.array([(row[0], row[column]) for row in history], dtype=np.float64).reshape(-1, 2)
+    rows = np.asarray(history, dtype=np.float64)
+    return rows[:, [0, column]] if len(rows) else np.zeros((0, 2))
+
+
+Mark = tuple[float, str, str]
+"""Seconds, kind, text of what happened."""
+_MARKS = (
+    ("order", "diamond", ORANGE),
+    ("alarm", "triangle", VERMILION),
+    ("info", "circle", SKY),
+    ("near", "pin", BLUE),
+)
+_LABEL: Options = {"show": True, "position": "insideTop", "color": GREY, "fontSize": 10, "rotate": 0}
+
+
+def spans_of(marks: Sequence[Mark], end_s: float) -> list[tuple[str, float, float]]:
+    """Name, begin and end of each phase, out of what happened."""
+    begins = [(t_s, text) for t_s, kind, text in marks if kind == "phase"]
+    return [(name, at_s, then_s) for (at_s, name), (then_s, _) in pairwise([*begins, (end_s, "")])]
+
+
+def timeline_options(
+    phases: Sequence[tuple[str, float, float]], marks: Sequence[Mark], now_s: float, end_s: float
+) -> Options:
+    """The phases as bands, what happened as signs over it, and where the page stands.
+
+    Args:
+        phases: name, begin and end, s.
+        marks: what happened; a sign has its text, and says which of them it is by ``value[2]``.
+        now_s: drawn across.
+        end_s: of the axis.
+    """
+    bands = [
+        [
+            {"name": name, "xAxis": begin_s, "itemStyle": {"color": GREY, "opacity": 0.28 if row % 2 else 0.12}},
+            {"xAxis": stop_s},
+        ]
+        for row, (name, begin_s, stop_s) in enumerate(phases)
+    ]
+    signs = [
+        {
+            "type": "scatter",
+            "name": kind,
+            "symbol": symbol,
+            "symbolSize": 9,
+            "itemStyle": {"color": colour},
+            "data": [
+                {"value": [round(t_s, 3), height, row], "name": text}
+                for row, (t_s, what, text) in enumerate(marks)
+                if what == kind
+            ],
+        }
+        for height, (kind, symbol, colour) in enumerate(_MARKS, 1)
+    ]
+    signs[0] |= {
+        "markArea": {"silent": True, "label": _LABEL, "data": bands},
+        "markLine": {
+            "symbol": "none",
+            "silent": True,
+            "animation": False,
+            "label": {"show": False},
+            "lineStyle": {"color": VERMILION, "type": "solid"},
+            "data": [{"xAxis": round(now_s, 3)}],
+        },
+    }
+    return {
+        "grid": {"top": 8, "bottom": 22, "left": 45, "right": 15},
+        "xAxis": {"type": "value", "min": 0, "max": round(end_s, 1), "name": "s", **_AXIS},
+        "yAxis": {"type": "value", "min": 0, "max": len(_MARKS) + 2, "show": False},
+        "tooltip": {"trigger": "item", "formatter": "{a}: {b}"},
+        "animation": False,
+        "series": signs,
+    }

@@ -48,7 +48,7 @@ def ghost_enu_m(snapshot: Snapshot) -> FloatArray | None:
     """The formation where it fits the vehicles best, turned about the vertical and shifted, shape (n, 3)."""
     pos_m, goal_m = snapshot.pos_team_enu_m, snapshot.goal_enu_m
     known = np.isfinite(pos_m).all(axis=1)
-    if not known.any() or np.allclose(goal_m, goal_m[0]):
+    if not known.any() or not np.isfinite(goal_m).all() or np.allclose(goal_m, goal_m[0]):
         return None
     middle_m, goal_middle_m = pos_m[known].mean(axis=0), goal_m[known].mean(axis=0)
     angle_rad = heading_of(pos_m[known], goal_m[known])

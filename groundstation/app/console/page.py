@@ -10,6 +10,7 @@ from typing import Literal
 from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
+from groundstation.app.console.charts import spans_of
 from groundstation.app.console.feed import Feed
 from groundstation.app.console.guard import Role
 from groundstation.app.console.helm import HelmSeat
@@ -166,7 +167,9 @@ class Page:
             why = desk.helm.refusal(self._page, self._role, order, words.phase)
             button.set_enabled(not why)
             tip.set_text(why or order.value)
-        self._view.tell(snapshot, list(feed.history)[-_SHOWN:])
+        self._view.tell(snapshot)
+        self._view.draw(list(feed.history)[-_SHOWN:], words.radius_m)
+        self._view.time_goes(spans_of(feed.notes, snapshot.t_s), feed.notes, snapshot.t_s)
         if self._view.happened(feed.notes) and self._mute.value:
             ui.run_javascript(
                 "try{const c=new AudioContext();const o=c.createOscillator();o.connect(c.destination);"

@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 from nicegui import ui
+from nicegui.elements.scene.objects.line import Line
 
 from groundstation.app.console.charts import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
 from groundstation.app.console.feed import distances_m, ghost_enu_m, wished_m
@@ -15,6 +16,8 @@ from groundstation.core import frames
 from groundstation.core.types import FloatArray
 
 _TRAIL = 150
+_JUMP_S = 2.0
+_SIZE_M = 0.4  # of what is drawn where r is not known
 _EDGE_GOOD_M, _EDGE_BAD_M = 0.1, 0.5
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -38,15 +41,17 @@ class TeamScene:
     """One page's picture of the team; drawn when the first snapshot comes."""
 
     def __init__(self, snapshot: Snapshot, *, dark: bool) -> None:
-        n, r_m = len(snapshot.ids), snapshot.words.radius_m
+        n, self._t_s = len(snapshot.ids), snapshot.t_s
+        self._has_radius, self._follows = bool(np.isfinite(snapshot.words.radius_m)), False
+        r_m = snapshot.words.radius_m if self._has_radius else _SIZE_M
         low, high = snapshot.fence_enu_m
         self._middle, self._size_m = (low + high) / 2, float(np.max(high - low))
         self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL) for _ in range(n)]
         self.view = ui.scene(grid=(20, 20), background_color="#20242a" if dark else "#f4f4f4").classes("w-full h-96")
         body_m = 0.35 * r_m
         with self.view as scene:
-            for pad_m in snapshot.pads_enu_m:
-                scene.cylinder(0.4 * r_m, 0.4 * r_m, 0.01).move(*pad_m.tolist()).rotate(1.5708, 0, 0).material(GREY)
+            for pad_m in snapshot.pads_enu_m[np.isfinite(snapshot.pads_enu_m).all(axis=1)]:
+                scene.cylinder(0.4 * r_m, 0.4 * r_m, 0.01, 32).move(*pad_m.tolist()).rotate(1.5708, 0, 0).material(GREY)
             for one, other in itertools.combinations(itertools.product((0, 1), repeat=3), 2):
                 if sum(a != b for a, b in zip(one, other, strict=True)) == 1:
                     ends = [[float((low, high)[c][axis]) for axis, c in enumerate(end)] for end in (one, other)]
@@ -54,9 +59,9 @@ class TeamScene:
             self._bodies = [scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE) for _ in range(n)]
             self._regions = [scene.sphere(r_m / 2).material(BLUE, 0.15) for _ in range(n)]
             self._ghosts = [scene.sphere(0.3 * body_m).material(GREEN, 0.6).visible(False) for _ in range(n)]
-            self._edges = [scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREEN) for _ in snapshot.edges]
             self._clouds = [scene.point_cloud([[0, 0, 0]], [[0, 0.45, 0.7]], 0.03) for _ in range(n)]
             self._labels = [scene.text(str(sysid)) for sysid in snapshot.ids.tolist()]
+        self._edges: list[Line] = []
         self._colours: dict[int, str] = {}
         self._r_m = r_m
         self.look("side")
@@ -82,6 +87,15 @@ class TeamScene:
     def show(self, snapshot: Snapshot, *, slowly: bool) -> None:
         """Moves everything; ``slowly``: trails, graph and ghost too, which take longer."""
         known = np.isfinite(snapshot.pos_team_enu_m).all(axis=1)
+        if not self._t_s <= snapshot.t_s <= self._t_s + _JUMP_S:  # a replay that jumps leaves no trail
+            for trail in self._trails:
+                trail.clear()
+        self._t_s = snapshot.t_s
+        for row in range(len(snapshot.ids)):
+            there = bool(np.isfinite(snapshot.pos_team_enu_m[row]).all())
+            self._bodies[row].visible(there)
+            self._regions[row].visible(there and self._has_radius)
+            self._labels[row].visible(there)
         quats = np.where(np.isfinite(snapshot.quat_ned_from_frd), snapshot.quat_ned_from_frd, [1.0, 0.0, 0.0, 0.0])
         rotations = _ENU_FROM_NED @ frames.rot_ned_from_flu(quats)
         for row in np.flatnonzero(known).tolist():
@@ -113,8 +127,14 @@ class TeamScene:
 
     def _graph(self, snapshot: Snapshot) -> None:
         between_m, error_m = distances_m(snapshot), np.abs(distances_m(snapshot) - wished_m(snapshot))
-        for line, (i, j) in zip(self._edges, snapshot.edges.tolist(), strict=False):
-            if np.isfinite(between_m[i, j]):
+        with self.view as scene:
+            while len(self._edges) < len(snapshot.edges):
+                self._edges.append(scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREEN))
+        for row, line in enumerate(self._edges):
+            i, j = snapshot.edges[row].tolist() if row < len(snapshot.edges) else (0, 0)
+            shown = i != j and bool(np.isfinite(between_m[i, j]))
+            line.visible(shown)
+            if shown:
                 begin_m, end_m = snapshot.pos_team_enu_m[i], snapshot.pos_team_enu_m[j]
                 line.move(*begin_m.tolist()).rotate_R(along(begin_m, end_m)).scale(float(between_m[i, j]))
                 line.material(edge_colour(float(error_m[i, j])))

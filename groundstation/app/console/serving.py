@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,8 @@ from groundstation.app.console.feed import Feed, remove_dead
 from groundstation.app.console.guard import Guard, Keys, Role
 from groundstation.app.console.helm import HelmSeat
 from groundstation.app.console.page import Desk, Page
+from groundstation.app.console.recorded import Recorded
+from groundstation.app.console.replay_page import ReplayPage
 from groundstation.app.order_client import ask
 
 _ANSWER_S = 5.0
@@ -77,6 +79,16 @@ def serve_flight(place: Place, keys: Keys, orders: Path, pid: int) -> None:
 
     app.on_shutdown(feed.close)
     app.timer(_READ_S, feed.read)
+    serve(place, keys, make)
+
+
+def serve_replay(place: Place, keys: Keys, flights: Sequence[Recorded]) -> None:
+    """Shows recorded flights, one or two, until the console is ended."""
+
+    def make(_role: Role, _page: str, _name: str, solid: bool) -> Callable[[], None]:
+        ReplayPage(flights, solid=solid)
+        return lambda: None
+
     serve(place, keys, make)
 
 

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
+from groundstation.app.console.charts import BLUE
+
 _EVENT = "gs_theme"
 _ASK = f"emitEvent('{_EVENT}', {{dark: window.matchMedia('(prefers-color-scheme: dark)').matches}})"
 
@@ -20,6 +22,7 @@ class Theme:
 
     def __init__(self, changed: Callable[[bool], None]) -> None:
         self._changed = changed
+        ui.colors(primary=BLUE)  # dark enough for white letters in the sun
         self._dark = ui.dark_mode(None)
         ui.button("light / dark", on_click=self._toggle).props("dense flat color=white")
 

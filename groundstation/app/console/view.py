@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from nicegui import ui
 
-from groundstation.app.console.charts import BLUE, GREEN, chart_options, columns_of
+from groundstation.app.console.charts import BLUE, GREEN, Mark, chart_options, columns_of, timeline_options
 from groundstation.app.console.feed import largest_error_m, smallest_distance_m
 from groundstation.app.console.scene import TeamScene
 from groundstation.app.console.snapshot import AIRBORNE, ARMED, FOREIGN, HELD, LOST, Snapshot
+from groundstation.core.types import FloatArray
 from groundstation.mission.roster import Duty
 
 COLUMNS = ("id", "role", "duty", "mode", "armed", "battery", "pose age", "silent", "setpoint", "state", "last words")
 _FIGURES = (
     ("smallest distance so far", "min_distance_m"),
-    ("now", "distance_now_m"),
+    ("smallest distance now", "distance_now_m"),
+    ("safety radius r", "radius_m"),
     ("largest error while holding", "formation_error_m"),
-    ("now", "error_now_m"),
+    ("largest error now", "error_now_m"),
     ("formed after", "time_to_form_s"),
     ("setpoints", "setpoints"),
     ("ticks", "ticks"),
     ("late ticks", "deadline_misses"),
 )
 """Words for people, and the name that the answer of ``gs fly --json`` has for it."""
+FIGURE_NAMES = tuple(name for _, name in _FIGURES)
 _CHARTS = (("smallest distance, m", BLUE, 1), ("largest error of the formation, m", GREEN, 2))
 _LINES = 400
-
-Note = tuple[float, str, str]
 
 
 def named(name: str) -> str:
@@ -46,7 +47,7 @@ def rows_of(snapshot: Snapshot) -> list[dict[str, str | int]]:
         rows.append(
             {
                 "id": sysid,
-                "role": int(snapshot.role[row]) + 1,
+                "role": int(snapshot.role[row]) + 1 or "-",
                 "duty": Duty(int(snapshot.duty[row])).name.lower().replace("_", " "),
                 "mode": snapshot.words.modes[row] or "-",
                 "armed": "yes" if bits & ARMED else "no",
@@ -66,12 +67,13 @@ def number(value: float, unit: str, digits: int) -> str:
     return f"{value:.{digits}f}{unit}" if np.isfinite(value) else "-"
 
 
-def figures_of(snapshot: Snapshot) -> dict[str, str]:
-    """The figures beside the scene, by their names."""
+def figures_of(snapshot: Snapshot, digits: int = 3) -> dict[str, str]:
+    """The figures beside the scene, by their names; distances with so many digits."""
     whole = {name: number(snapshot.figure(name), "", 0) for name in ("setpoints", "ticks", "deadline_misses")}
     return whole | {
-        "min_distance_m": number(snapshot.figure("min_distance_m"), " m", 3),
-        "distance_now_m": f"{number(smallest_distance_m(snapshot), ' m', 3)}; r = {snapshot.words.radius_m:g} m",
+        "min_distance_m": number(snapshot.figure("min_distance_m"), " m", digits),
+        "distance_now_m": number(smallest_distance_m(snapshot), " m", digits),
+        "radius_m": number(snapshot.words.radius_m, " m", 3),
         "formation_error_m": number(snapshot.figure("formation_error_m"), " m", 3),
         "error_now_m": number(largest_error_m(snapshot), " m", 3),
         "time_to_form_s": number(snapshot.figure("time_to_form_s"), " s", 2),
@@ -83,42 +85,63 @@ class TeamView:
 
     Args:
         solid: with the scene in three dimensions, which is dear for small machines.
+        figures: which of the figures, by their names; the others are not known where this is shown.
+        columns: which of the table.
+        narrow: one below the other, where there is half a page.
+        digits: of distances.
+        prefix: before the names of elements, where there are two on a page.
 
     Attributes:
         side: beside the scene, above the figures: for what else the page has.
         table: the vehicles; rows can be selected.
+        timeline: phases and what happened.
     """
 
-    def __init__(self, *, solid: bool) -> None:
-        self._solid = solid
+    def __init__(
+        self,
+        *,
+        solid: bool,
+        figures: Collection[str] = FIGURE_NAMES,
+        columns: Sequence[str] = COLUMNS,
+        narrow: bool = False,
+        digits: int = 3,
+        prefix: str = "",
+    ) -> None:
+        self._solid, self._digits = solid, digits
         self._scene: TeamScene | None = None
         self._dark: bool | None = None
         self._told = 0
-        with ui.row().classes("w-full no-wrap max-md:flex-wrap"):
+        row = "w-full" if narrow else "w-full no-wrap max-md:flex-wrap"
+        with ui.row().classes(row):
             if solid:
-                with ui.column().classes("w-2/3 max-md:w-full"):
+                with ui.column().classes("w-full" if narrow else "w-2/3 max-md:w-full"):
                     with ui.row():
                         for where in ("side", "top", "follow"):
-                            ui.button(where, on_click=lambda _, at=where: self._look(at)).props("dense outline")
+                            ui.button(where, on_click=lambda _, at=where: self._look(at)).props("dense no-wrap")
                     self._place = ui.column().classes("w-full")
-            with ui.column().classes("w-1/3 max-md:w-full" if solid else "w-full"):
+            with ui.column().classes("w-full" if narrow or not solid else "w-1/3 max-md:w-full"):
                 self.side = ui.column().classes("w-full")
                 with ui.grid(columns="auto 1fr").classes("gap-x-4 gap-y-0 text-sm"):
                     self._figures = {}
                     for words, name in _FIGURES:
-                        ui.label(words)
-                        self._figures[name] = ui.label("-").props(named(name))
-                self._reason = ui.label().classes("text-sm font-bold").props(named("reason"))
-                self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs").props(named("notes"))
-        with ui.row().classes("w-full no-wrap max-md:flex-wrap"):
+                        if name in figures:
+                            ui.label(words)
+                            self._figures[name] = ui.label("-").props(named(prefix + name))
+                self._reason = ui.label().classes("text-sm font-bold").props(named(prefix + "reason"))
+                self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs").props(named(prefix + "notes"))
+        self.timeline = ui.echart(timeline_options([], [], 0.0, 1.0)).classes("w-full h-28")
+        self.timeline.props(named(prefix + "timeline"))
+        with ui.row().classes(row):
             self._charts = [
-                ui.echart(chart_options(title, np.zeros((0, 2)), colour)).classes("w-1/2 h-44 max-md:w-full")
+                ui.echart(chart_options(title, np.zeros((0, 2)), colour)).classes(
+                    "w-full h-36" if narrow else "w-1/2 h-44 max-md:w-full"
+                )
                 for title, colour, _ in _CHARTS
             ]
         find = ui.input("filter").props("dense clearable")
-        columns = [{"name": name, "label": name, "field": name, "sortable": True, "align": "left"} for name in COLUMNS]
-        self.table = ui.table(columns=columns, rows=[], row_key="id", selection="single").classes("w-full")
-        self.table.props("dense").props(named("team"))
+        shown = [{"name": name, "label": name, "field": name, "sortable": True, "align": "left"} for name in columns]
+        self.table = ui.table(columns=shown, rows=[], row_key="id", selection="single").classes("w-full")
+        self.table.props("dense").props(named(prefix + "team"))
         find.bind_value_to(self.table, "filter")
 
     def themed(self, *, dark: bool) -> None:
@@ -141,20 +164,32 @@ class TeamView:
                 self._scene = TeamScene(snapshot, dark=self._dark)
         self._scene.show(snapshot, slowly=slowly)
 
-    def tell(self, snapshot: Snapshot, history: Sequence[Sequence[float]]) -> None:
-        """Shows figures, charts and the table."""
-        for name, text in figures_of(snapshot).items():
-            self._figures[name].set_text(text)
+    def tell(self, snapshot: Snapshot) -> None:
+        """Shows figures and the table."""
+        told = figures_of(snapshot, self._digits)
+        for name, label in self._figures.items():
+            label.set_text(told[name])
         self._reason.set_text(snapshot.words.reason)
         self.table.rows = rows_of(snapshot)
-        limits = (snapshot.words.radius_m, np.nan)
+
+    def draw(self, history: Sequence[Sequence[float]] | FloatArray, radius_m: float) -> None:
+        """Shows the charts: a row of ``history`` is seconds, smallest distance, largest error."""
+        limits = (radius_m, np.nan)
         for chart, (title, colour, column), limit in zip(self._charts, _CHARTS, limits, strict=True):
             chart.options.update(chart_options(title, columns_of(history, column), colour, limit))
 
-    def happened(self, notes: Sequence[Note]) -> int:
+    def happened(self, notes: Sequence[Mark]) -> int:
         """Adds what is new of what happened; returns how many alarms are among it."""
         new = notes[self._told :]
         self._told = len(notes)
         for t_s, kind, text in new[-_LINES:]:
             self._news.push(f"{t_s:8.2f} s  {kind:5}  {text}", classes="font-bold" if kind == "alarm" else "")
         return sum(kind == "alarm" for _, kind, _ in new)
+
+    def time_goes(self, phases: Sequence[tuple[str, float, float]], marks: Sequence[Mark], end_s: float) -> None:
+        """Draws the time line anew; the page stands at its end."""
+        self.timeline.options.update(timeline_options(phases, marks, end_s, end_s))
+
+    def stands_at(self, t_s: float) -> None:
+        """Moves the line of the time line, and nothing else of it."""
+        self.timeline.run_chart_method("setOption", {"series": [{"markLine": {"data": [{"xAxis": round(t_s, 3)}]}}]})

@@ -16,7 +16,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "gs fly --mission mine/mission.yaml --log flights/first",
     ),
     "command": ("gs command hold", "gs command land 3 --flight cube8", "gs command move -1 0 0.5"),
-    "console": ("gs console", "gs console --flight cube8 --port 8089"),
+    "console": ("gs console", "gs console --flight cube8 --port 8089", "gs console --log flights/cube8.tlog"),
     "vehicles": ("gs vehicles udpin://0.0.0.0:14540 --seconds 6",),
     "check": ("gs check --mission mine/mission.yaml --fix",),
     "params": ("gs params save --mission cube8", "gs params diff --mission cube8"),
