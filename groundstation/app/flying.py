@@ -15,7 +15,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from groundstation.app.console.viewers import Viewers
+from groundstation.app.console.viewers import shown
 from groundstation.app.emulator import TruthMeter, served_world, world_config
 from groundstation.app.fence_giving import give_fence
 from groundstation.app.forwarding import Forward
@@ -204,7 +204,7 @@ def fly_dry(
                     display,
                     meter,
                     laws,
-                    *_shown(at_the_desk, plan, meter, console=console),
+                    *shown(at_the_desk, plan, meter.figures, console=console),
                     *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),)),
                 ),
                 interrupts=interrupts,
@@ -262,14 +262,6 @@ def _controls(stack: ExitStack, session: Session, log_path: Path) -> tuple[Seque
         controls.append(keyboard)
         prompt = keyboard.prompt
     return controls, prompt
-
-
-def _shown(stack: ExitStack, plan: MissionPlan, meter: TruthMeter | None, *, console: bool) -> tuple[Viewers, ...]:
-    """What shows the flight to consoles, where that is wished."""
-    if not console:
-        return ()
-    measured = dict if meter is None else meter.figures
-    return (stack.enter_context(Viewers(runtime_folder(os.environ, Path.home()), plan, measured)),)
 
 
 def _complete(log: TlogWriter | None) -> bool:
@@ -359,7 +351,7 @@ def fly_vehicles(
                     laws,
                     keeper,
                     *(() if meter is None else (meter,)),
-                    *_shown(at_the_desk, plan, meter, console=console),
+                    *shown(at_the_desk, plan, meter.figures if meter else dict, times, console=console),
                 ),
                 interrupts=interrupts,
                 controls=controls,

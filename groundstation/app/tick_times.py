@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 _LEAST_S, _MOST_S, _WIDER = 1e-6, 100.0, 1.02
 _BUCKETS = math.ceil(math.log(_MOST_S / _LEAST_S) / math.log(_WIDER)) + 1
 TIMES = "tick_late_ms", "tick_work_ms", "telemetry_to_setpoint_ms"
@@ -51,6 +53,7 @@ class TickTimes:
 
     def __init__(self) -> None:
         self._late, self._work, self._pose = Percentiles(), Percentiles(), Percentiles()
+        self._worst_s = math.nan
 
     def tick(self, due_ns: int, began_ns: int, sent_ns: int, heard_ns: int | None, *, steers: bool) -> None:
         """Counts one tick.
@@ -62,10 +65,16 @@ class TickTimes:
             heard_ns: when the last datagram was taken in before it; None where none came since the tick before.
             steers: whether setpoints were among what was sent.
         """
+        self._worst_s = float(np.fmax(self._worst_s, (sent_ns - due_ns) / 1e9))
         self._late.add((began_ns - due_ns) / 1e9)
         self._work.add((sent_ns - began_ns) / 1e9)
         if steers and heard_ns is not None:
             self._pose.add((sent_ns - heard_ns) / 1e9)
+
+    def take_worst_ms(self) -> float:
+        """Longest from when a tick was due to when it had sent, since this was last asked, ms; NaN without a tick."""
+        worst_s, self._worst_s = self._worst_s, math.nan
+        return 1e3 * worst_s
 
     def figures(self) -> dict[str, dict[str, float] | None]:
         """As the answer of ``gs fly --json`` has them, by the keys of ``TIMES``."""

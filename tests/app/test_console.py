@@ -17,10 +17,17 @@ from hypothesis import strategies as st
 from groundstation.app.console.feed import Feed, ghost_enu_m, largest_error_m, remove_dead, smallest_distance_m
 from groundstation.app.console.guard import Guard, Keys, Message, Receive, Role, Scope, Send
 from groundstation.app.console.helm import HelmSeat
-from groundstation.app.console.snapshot import AIRBORNE, FIGURES, NOTES_MAX, Snapshot, decode, encode
+from groundstation.app.console.snapshot import AIRBORNE, BYTES_MAX, FIGURES, NOTES_MAX, Snapshot, decode, encode
 from groundstation.app.console.viewers import Viewers
+from groundstation.app.flying import fly_dry
+from groundstation.app.order_socket import prepare_folder
+from groundstation.app.output import Output
+from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.mission.operator import Order
+from groundstation.mission.phases.phase import Phase
+from groundstation.mission.plan.reading import load_mission
+from sitl.world import World
 from tests.app.flights import Flight, pair
 from tests.app.test_order_socket import Desk
 
@@ -111,9 +118,11 @@ def test_a_snapshot_comes_back_as_it_was(n: int, seed: int) -> None:
             drawn = rng.integers(0, n, (n, *value.shape[1:])) if whole else rng.normal(size=(n, *value.shape[1:]))
             grown[field.name] = drawn if whole else np.where(rng.random(drawn.shape) < 0.1, np.nan, np.float32(drawn))
     words = replace(first.words, modes=("é",) * n, said=('"\n',) * n, notes=((1.5, "alarm", "näher"),))
-    one = replace(first, words=words, edges=rng.integers(0, n, (rng.integers(0, n), 2)), **grown)  # type: ignore[arg-type]
+    tick_ms = float(rng.choice([np.nan, 0.25]))
+    one = replace(first, words=words, tick_ms=tick_ms, edges=rng.integers(0, n, (rng.integers(0, n), 2)), **grown)  # type: ignore[arg-type]
     back = decode(encode(one))
     assert (back.words, back.t_s) == (one.words, one.t_s)
+    np.testing.assert_equal(back.tick_ms, tick_ms)
     for field in fields(Snapshot):
         if isinstance(getattr(one, field.name), np.ndarray):
             np.testing.assert_array_equal(getattr(back, field.name), getattr(one, field.name))
@@ -130,8 +139,8 @@ def test_bytes_that_are_no_snapshot_are_refused_in_words(bent: bytes | tuple[int
     for cut in (len(_BYTES) - 1, 40, 3):
         with pytest.raises(ValueError, match="snapshot: "):
             decode(_BYTES[:cut])
-    with pytest.raises(ValueError, match="version 2, expected 1"):
-        decode(_BYTES[:6] + b"\x02\x00" + _BYTES[8:])
+    with pytest.raises(ValueError, match="version 3, expected 2"):
+        decode(_BYTES[:6] + b"\x03\x00" + _BYTES[8:])
 
 
 def test_nothing_is_built_while_nobody_looks_and_who_never_reads_costs_nothing_more(
@@ -301,3 +310,34 @@ def test_the_figures_are_those_of_the_answer() -> None:
 
     values = _values(Desk(Path("/nowhere")).session, None, None)
     assert set(FIGURES) <= set(values)
+
+
+def test_consoles_that_are_killed_or_stall_cost_the_flight_not_a_byte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Same seed, same bytes: also with a console that is killed in mid-air, and one that never reads."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = tmp_path / "gs"
+    prepare_folder(folder)
+    plan, out = load_mission(find_config(Path("first_flight2"), "missions")), Output(as_json=True)
+    alone = fly_dry(out, plan, tmp_path / "alone.tlog", (), seed=3, realtime=False)
+    got: list[Snapshot] = []
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as reads,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stalls,
+    ):
+        reads.bind(str(folder / f"{os.getpid()}-1.view"))
+        stalls.bind(str(folder / f"{os.getpid()}-2.view"))
+        reads.setblocking(False)
+
+        def watch(session: Session, now_ns: int, _world: World) -> None:
+            if session.runner.phase is Phase.HOLD:
+                reads.close()  # as SIGKILL does: its name stays, and nobody is behind it
+            with suppress(OSError):
+                got.append(decode(reads.recv(BYTES_MAX)))
+
+        watched = fly_dry(out, plan, tmp_path / "watched.tlog", (), seed=3, realtime=False, console=True, watch=watch)
+    assert {snapshot.words.phase for snapshot in got} >= {"connect", "arm", "takeoff", "form"}
+    assert "hold" not in {snapshot.words.phase for snapshot in got}
+    assert (tmp_path / "watched.tlog").read_bytes() == (tmp_path / "alone.tlog").read_bytes()
+    np.testing.assert_equal({**watched, "log": ""}, {**alone, "log": ""})

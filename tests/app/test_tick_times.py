@@ -41,3 +41,12 @@ def test_the_three_times_of_a_tick() -> None:
     figures = times.figures()
     assert [one["max"] for key in TIMES if (one := figures[key])] == [2.0, 1.0, 6.0]
     assert times.words().startswith("tick late p50 ")
+
+
+def test_the_longest_tick_since_it_was_last_asked() -> None:
+    times = TickTimes()
+    assert np.isnan(times.take_worst_ms())
+    times.tick(1_000_000_000, 1_002_000_000, 1_003_000_000, None, steers=True)
+    times.tick(1_020_000_000, 1_020_000_000, 1_021_000_000, None, steers=True)
+    assert times.take_worst_ms() == pytest.approx(3.0)  # due at 1.000 s, sent at 1.003 s
+    assert np.isnan(times.take_worst_ms())

@@ -17,6 +17,7 @@ from groundstation.core.metrics import min_distance_m, pair_distances_m
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.keeping import heading_of
 
+HISTORY = "t_s", "min_distance_m", "error_m", "tick_ms", "oldest_pose_s"
 _KEPT = 2_400
 _NOTES_KEPT = 10_000
 _TAKEN_MAX = 32  # of those that wait, at once
@@ -31,6 +32,12 @@ def smallest_distance_m(snapshot: Snapshot) -> float:
     """Between two of whom one at least is in the air, as the monitors count; NaN while there are no two."""
     least_m = min_distance_m(snapshot.pos_team_enu_m, flying=(snapshot.state & AIRBORNE) != 0)
     return least_m if np.isfinite(least_m) else np.nan
+
+
+def oldest_pose_s(snapshot: Snapshot) -> float:
+    """Age of the oldest position of those in the air: what lost telemetry comes to; NaN while nobody is."""
+    age_s = snapshot.pose_age_s[(snapshot.state & AIRBORNE) != 0]
+    return float(np.nanmax(age_s)) if np.isfinite(age_s).any() else np.nan
 
 
 def wished_m(snapshot: Snapshot) -> FloatArray:
@@ -66,14 +73,14 @@ class Feed:
 
     Attributes:
         last: newest snapshot, None before the first.
-        history: time, smallest distance, largest error of the formation, one row a snapshot, a tenth of a second apart.
+        history: a row of ``HISTORY`` a tenth of a second.
         notes: what happened: seconds, kind, text; each once, though every snapshot tells the newest again.
         problem: why the newest datagram could not be read.
     """
 
     def __init__(self, folder: Path, pid: int) -> None:
         self.last: Snapshot | None = None
-        self.history: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
+        self.history: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
         self.notes: list[tuple[float, str, str]] = []
         self.problem = ""
         self._path = folder / f"{pid}-{os.getpid()}.view"
@@ -110,7 +117,15 @@ class Feed:
         self.last = snapshot
         self._keep(snapshot.words.notes)
         if not self.history or snapshot.t_s - self.history[-1][0] >= 0.1:
-            self.history.append((snapshot.t_s, smallest_distance_m(snapshot), largest_error_m(snapshot)))
+            self.history.append(
+                (
+                    snapshot.t_s,
+                    smallest_distance_m(snapshot),
+                    largest_error_m(snapshot),
+                    snapshot.tick_ms,
+                    oldest_pose_s(snapshot),
+                )
+            )
 
     def _keep(self, told: tuple[tuple[float, str, str], ...]) -> None:
         known = self.notes[-1:]

@@ -100,7 +100,9 @@ class ReplayPage:
             with ui.row().classes("items-center gap-4"):
                 ui.label(recorded.flight.name).classes("font-bold")
                 phase = ui.label().props(named(prefix + "phase"))
-            view = TeamView(solid=solid, figures=_FIGURES, columns=_COLUMNS, narrow=count > 1, digits=4, prefix=prefix)
+            view = TeamView(
+                solid=solid, figures=_FIGURES, columns=_COLUMNS, narrow=count > 1, digits=4, charts=2, prefix=prefix
+            )
             with view.side:
                 for line in (recorded.flight.message, *recorded.flight.notes):
                     if line is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from groundstation.core.types import FloatArray, IntArray
 
-VERSION = 1
+VERSION = 2
 BYTES_MAX = 150_000
 """Longest snapshot; what a local datagram holds by the kernel's default."""
 NOTES_MAX = 40
@@ -93,6 +93,7 @@ class Snapshot:
         fence_enu_m: its two corners, shape (2, 3).
         edges: neighbours in the sensing graph, rows counted from 0, shape (m, 2).
         figures: in the order of ``FIGURES``, shape (6,).
+        tick_ms: longest from when a tick was due to when it had sent, since the snapshot before; NaN in virtual time.
     """
 
     words: Words
@@ -113,6 +114,7 @@ class Snapshot:
     fence_enu_m: FloatArray
     edges: IntArray
     figures: FloatArray
+    tick_ms: float = math.nan
 
     def figure(self, name: str) -> float:
         """One of ``FIGURES``."""
@@ -138,6 +140,7 @@ def encode(snapshot: Snapshot) -> bytes:
             "said": words.said,
             "notes": words.notes[-NOTES_MAX:],
             "radius_m": words.radius_m,
+            "tick_ms": snapshot.tick_ms if math.isfinite(snapshot.tick_ms) else None,
         }
     ).encode()
     body = [np.asarray(getattr(snapshot, name), _kind(name)).tobytes() for name in _ARRAYS]
@@ -175,6 +178,7 @@ def decode(data: bytes) -> Snapshot:
             radius_m=float(header["radius_m"]),
         )
         t_s = float(header["t_s"])
+        tick_ms = math.nan if header["tick_ms"] is None else float(header["tick_ms"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ValueError(f"snapshot: its header cannot be read: {error}") from error
     if not (0 < n <= _ROWS_MAX and 0 <= m <= n * n and len(words.modes) == len(words.said) == n and math.isfinite(t_s)):
@@ -202,5 +206,6 @@ def decode(data: bytes) -> Snapshot:
         duty=whole["duty"],
         state=whole["state"],
         edges=edges,
+        tick_ms=tick_ms,
         **arrays,
     )

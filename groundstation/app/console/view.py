@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from nicegui import ui
 
-from groundstation.app.console.charts import BLUE, GREEN, Mark, chart_options, columns_of, timeline_options
+from groundstation.app.console.charts import BLUE, GREEN, ORANGE, SKY, Mark, chart_options, columns_of, timeline_options
 from groundstation.app.console.feed import largest_error_m, smallest_distance_m
 from groundstation.app.console.scene import TeamScene
 from groundstation.app.console.snapshot import AIRBORNE, ARMED, FOREIGN, HELD, LOST, Snapshot
@@ -28,7 +28,13 @@ _FIGURES = (
 )
 """Words for people, and the name that the answer of ``gs fly --json`` has for it."""
 FIGURE_NAMES = tuple(name for _, name in _FIGURES)
-_CHARTS = (("smallest distance, m", BLUE, 1), ("largest error of the formation, m", GREEN, 2))
+_CHARTS = (
+    ("smallest distance, m", BLUE),
+    ("largest error of the formation, m", GREEN),
+    ("a tick has sent so long after it was due, ms", SKY),
+    ("oldest position of those in the air, s", ORANGE),
+)
+"""Of the columns of a history, after the time."""
 _LINES = 400
 
 
@@ -89,6 +95,7 @@ class TeamView:
         columns: which of the table.
         narrow: one below the other, where there is half a page.
         digits: of distances.
+        charts: how many of the charts.
         prefix: before the names of elements, where there are two on a page.
 
     Attributes:
@@ -105,6 +112,7 @@ class TeamView:
         columns: Sequence[str] = COLUMNS,
         narrow: bool = False,
         digits: int = 3,
+        charts: int = len(_CHARTS),
         prefix: str = "",
     ) -> None:
         self._solid, self._digits = solid, digits
@@ -131,12 +139,10 @@ class TeamView:
                 self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs").props(named(prefix + "notes"))
         self.timeline = ui.echart(timeline_options([], [], 0.0, 1.0)).classes("w-full h-28")
         self.timeline.props(named(prefix + "timeline"))
-        with ui.row().classes(row):
+        with ui.grid(columns=1).classes("w-full gap-0" if narrow else "w-full gap-0 md:grid-cols-2"):
             self._charts = [
-                ui.echart(chart_options(title, np.zeros((0, 2)), colour)).classes(
-                    "w-full h-36" if narrow else "w-1/2 h-44 max-md:w-full"
-                )
-                for title, colour, _ in _CHARTS
+                ui.echart(chart_options(title, np.zeros((0, 2)), colour)).classes("w-full h-36")
+                for title, colour in _CHARTS[:charts]
             ]
         find = ui.input("filter").props("dense clearable")
         shown = [{"name": name, "label": name, "field": name, "sortable": True, "align": "left"} for name in columns]
@@ -173,10 +179,11 @@ class TeamView:
         self.table.rows = rows_of(snapshot)
 
     def draw(self, history: Sequence[Sequence[float]] | FloatArray, radius_m: float) -> None:
-        """Shows the charts: a row of ``history`` is seconds, smallest distance, largest error."""
-        limits = (radius_m, np.nan)
-        for chart, (title, colour, column), limit in zip(self._charts, _CHARTS, limits, strict=True):
-            chart.options.update(chart_options(title, columns_of(history, column), colour, limit))
+        """Shows the charts: a row of ``history`` is seconds, then a value for each."""
+        for column, chart in enumerate(self._charts):
+            title, colour = _CHARTS[column]
+            limit = radius_m if column == 0 else np.nan
+            chart.options.update(chart_options(title, columns_of(history, column + 1), colour, limit))
 
     def happened(self, notes: Sequence[Mark]) -> int:
         """Adds what is new of what happened; returns how many alarms are among it."""

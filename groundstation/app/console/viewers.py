@@ -8,10 +8,12 @@ snapshots. Nothing is ever read here. Whatever goes wrong costs the picture and 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
@@ -30,7 +32,9 @@ from groundstation.app.console.snapshot import (
     Words,
     encode,
 )
+from groundstation.app.order_client import runtime_folder
 from groundstation.app.session import Session
+from groundstation.app.tick_times import TickTimes
 from groundstation.core import frames
 from groundstation.mavlink.vehicle import UNKNOWN
 from groundstation.mission.plan.plan import MissionPlan
@@ -52,6 +56,7 @@ class Viewers:
         plan: the mission.
         measured: figures that stand in place of what the vehicles report: the emulator's truth, as in the answer of
             ``gs fly --json``.
+        tick_ms: longest tick since it was last asked; see ``TickTimes.take_worst_ms``.
 
     Attributes:
         sent: snapshots that were taken.
@@ -59,10 +64,16 @@ class Viewers:
         problem: why nothing is sent any more, "" while all is well.
     """
 
-    def __init__(self, folder: Path, plan: MissionPlan, measured: Callable[[], Mapping[str, float]] = dict) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        plan: MissionPlan,
+        measured: Callable[[], Mapping[str, float]] = dict,
+        tick_ms: Callable[[], float] = lambda: math.nan,
+    ) -> None:
         self.sent = self.lost = 0
         self.problem = ""
-        self._folder, self._plan, self._measured = folder, plan, measured
+        self._folder, self._plan, self._measured, self._tick_ms = folder, plan, measured, tick_ms
         self._found: list[Path] = []
         self._next_ns = self._search_ns = 0
         self._notes: deque[tuple[float, str, str]] = deque(maxlen=NOTES_MAX)
@@ -163,7 +174,32 @@ class Viewers:
             fence_enu_m=np.array([fence.min_m, fence.max_m], dtype=np.float64),
             edges=row_of_role[edges],
             figures=np.array([known.get(name, getattr(figures, name, np.nan)) for name in FIGURES], dtype=np.float64),
+            tick_ms=self._tick_ms(),
         )
+
+
+def shown(
+    stack: ExitStack,
+    plan: MissionPlan,
+    measured: Callable[[], Mapping[str, float]],
+    times: TickTimes | None = None,
+    *,
+    console: bool,
+) -> tuple[Viewers, ...]:
+    """What shows a flight to consoles, where that is wished; open until the stack ends.
+
+    Args:
+        stack: of the flight.
+        plan: the mission.
+        measured: see ``Viewers``.
+        times: of the ticks; None in virtual time.
+        console: whether it is wished.
+    """
+    if not console:
+        return ()
+    folder = runtime_folder(os.environ, Path.home())
+    tick_ms = (TickTimes() if times is None else times).take_worst_ms
+    return (stack.enter_context(Viewers(folder, plan, measured, tick_ms)),)
 
 
 def _age_s(
