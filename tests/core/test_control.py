@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from groundstation.core import control, frames
 from groundstation.core.control import ScaleFunction, Task
-from groundstation.core.formation import Gains
+from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from tests.core.lag_team import cube, cube_gains
@@ -251,6 +251,33 @@ def test_the_rate_for_the_auto_gain() -> None:
     stiffest = control.stiffest_rate_1_s(cube(), cube_gains(), steep)
     assert control.rate_for_auto_gain_1_s(cube(), cube_gains(), steep) == pytest.approx(stiffest / 2)
     assert stiffest > 50.0
+
+
+@given(st.floats(0.1, 20.0))
+def test_an_f_that_fits_pulls_as_hard_at_any_size(size: float) -> None:
+    larger = Formation(cube().name, size * cube().points_enu_m, cube().edges)
+    gain = control.fitting_scale_gain(larger, cube_gains(), "arctan")
+    assert gain * size == pytest.approx(2.5)  # as flown, on edges of 1 m
+    rates = [
+        control.stiffest_rate_1_s(formation, cube_gains(), ScaleFunction("arctan", each))
+        for formation, each in ((larger, gain), (cube(), 2.5))
+    ]
+    assert rates[0] == pytest.approx(rates[1])
+
+
+@given(st.integers(0, 100), st.integers(4, 12), st.floats(0.3, 5.0), st.floats(0.0, 2.0))
+def test_an_f_that_fits_doubles_the_fastest_mode_at_most_however_many_edges(
+    seed: int, n: int, size: float, upright: float
+) -> None:
+    points = size * np.random.default_rng(seed).normal(size=(n, 3))
+    formation = Formation("random", points, tuple((i, j) for i in range(n) for j in range(i + 1, n)))
+    gains = Gains(xy=np.eye(n) * (1.0 - n) + (1.0 - np.eye(n)) + 0j, z=np.ones((n, n)) - n * np.eye(n))
+    gain = control.fitting_scale_gain(formation, gains, "tanh", upright)
+    without = control.stiffest_rate_1_s(formation, gains, FREE, upright)
+    most = 2.0 * max(control.largest_rate_1_s(gains), without)
+    with_f = control.stiffest_rate_1_s(formation, gains, ScaleFunction("tanh", gain), upright)
+    assert with_f <= most * (1.0 + 1e-9)
+    assert gain > 0.0
 
 
 @pytest.mark.parametrize("arguments", [(0.0, 1.0, 0.1), (10.0, -1.0, 0.1), (10.0, 1.0, np.nan)])

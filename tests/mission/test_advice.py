@@ -24,10 +24,19 @@ def test_an_f_that_is_too_strong_for_the_size_is_told_with_one_that_fits() -> No
     told = advice(plan)
     assert len(told) == 1
     assert "scale.gain 2.5 is too strong" in told[0]
-    better = float(told[0].split("scale.gain ")[-1].split()[0])
-    mended = load_mission(MISSIONS / "px4_cube8.yaml", [f"scale.gain={better}"])
+    better = float(told[0].split("it is then ")[-1])
+    mended = load_mission(MISSIONS / "px4_cube8.yaml", ["scale={}"])
+    assert mended.scale.gain == pytest.approx(better, rel=0.05)
     assert advice(mended) == []
     assert mended.control_gain > 1.5 * plan.control_gain
+
+
+@pytest.mark.parametrize("name", ["px4_cube8", "mixed8", "arducopter_two_squares8", "first_flight2", "cube8"])
+def test_what_was_tuned_by_hand_is_found_from_the_size_alone(name: str) -> None:
+    by_hand = load_mission(MISSIONS / f"{name}.yaml")
+    found = load_mission(MISSIONS / f"{name}.yaml", ["scale={}"])
+    assert found.scale.gain == pytest.approx(by_hand.scale.gain, rel=0.35)
+    assert found.control_gain == pytest.approx(by_hand.control_gain, rel=0.02)
 
 
 def test_a_weak_design_is_told_with_the_time_that_it_needs() -> None:

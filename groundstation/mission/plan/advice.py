@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
+from groundstation.core.control import ScaleFunction, auto_control_gain, fitting_scale_gain, rate_for_auto_gain_1_s
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.stages import Stage
 
@@ -94,9 +94,9 @@ def _tuned(plan: MissionPlan, stage: Stage) -> list[str]:
         ]
     if stage.scale.kind == "free" or without <= 0.0 or with_f <= _MUCH * without:
         return []
-    better = stage.scale.gain * 0.5 * without / (with_f - without)
+    better = fitting_scale_gain(shape.formation, shape.gains, stage.scale.kind, stage.upright_1_s)
     return [
         f"{stage.key}: f of (14) with scale.gain {stage.scale.gain:g} is too strong for the distances of"
         f" {stage.formation.name}: k falls from {gain(without):.2g} to {gain(with_f):.2g} and the team forms that much"
-        f" later; scale.gain {better:.1g} fits its size"
+        f" later; leave scale.gain out, it is then {better:.2g}"
     ]

@@ -40,7 +40,7 @@ class ScaleSpec(_Strict):
     """f of (14): gain = 1/k of ``arctan`` or ``tanh``; ``free`` leaves the scale to the start."""
 
     kind: Literal["arctan", "tanh", "free"] = "arctan"
-    gain: Annotated[Number, Field(gt=0, le=100)] = 2.5
+    gain: Literal["auto"] | Annotated[Number, Field(gt=0, le=100)] = "auto"
 
 
 def _by_name(value: object) -> object:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.core.assignment import assign_roles
-from groundstation.core.control import ScaleFunction, auto_control_gain, rate_for_auto_gain_1_s
+from groundstation.core.control import ScaleFunction, auto_control_gain, fitting_scale_gain, rate_for_auto_gain_1_s
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
@@ -152,17 +152,20 @@ def make_stage(
     law = scale or spec.scale
     if not shape.formed:
         return Stage(key, shape, 1.0, ScaleFunction(), 0.0, assignment="fixed", swaps=False)
-    function = ScaleFunction(kind=law.kind, gain=law.gain)
     # The upright term fixes the vertical scale, which a free scale leaves to the start.
     upright_1_s = 0.0 if law.kind == "free" else spec.upright_1_s
+    gain = law.gain
+    if gain == "auto":
+        gain = fitting_scale_gain(shape.formation, shape.gains, law.kind, upright_1_s)
+    function = ScaleFunction(kind=law.kind, gain=gain)
     rate_1_s = rate_for_auto_gain_1_s(shape.formation, shape.gains, function, upright_1_s)
     try:
         automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
     except ValueError as error:
         at = "" if key == "formation" or scale is None else f"{key}."
         raise UserError(
-            f"{source}: {at}scale: kind {law.kind}, gain {law.gain:g} with formation {shape.formation.name} of"
-            f" {shape.formation.size}: {error}; use kind: arctan with its own gain (2.5)"
+            f"{source}: {at}scale: kind {law.kind}, gain {gain:g} with formation {shape.formation.name} of"
+            f" {shape.formation.size}: {error}; use kind: arctan with its own gain (auto)"
         ) from None
     chosen = assignment or spec.assignment
     return Stage(
