@@ -46,6 +46,8 @@ _EVERY_TICKS = 5
 # docs/safety.md, "Positions that drift": slower ones nothing aboard tells from a velocity that is a little off
 _CREEPS_M_S = {"mocap": 0.1, "rtk": 0.1, "gps": 0.25}
 _AT_ONCE_M = 0.01
+# The same: in the first 15 s of flight no velocity is known to be good, and what parts is forgotten over three seconds.
+_EARLY_NS, _FORGOTTEN_S = 15 * SECOND_NS, 3.0
 _SHOWN = 2_000
 _NAMES = re.compile(r"\bvehicles? (\d+(?:(?:, | and |, and )(?:vehicle )?\d+)*)")
 _TWINS = re.compile(r"say that they are (\d+)")
@@ -89,10 +91,12 @@ class Witness:
         self._near_ns: dict[tuple[int, int], int] = {}
         self._hit_ns: dict[int, int] = {}
         self._stands_since_ns: IntArray = np.zeros(n, dtype=np.int64)
+        self._rose_ns: IntArray = np.full(n, -1, dtype=np.int64)
         self._last_far_ns: IntArray = np.full((n, n), -_APART_NS)
         self._last_near_ns: IntArray = np.full((n, n), -_APART_NS)
         self._offset_enu_m: FloatArray = world.state.estimator.offset_enu_m.copy()
         self._offset_max_m: FloatArray = np.zeros(n)
+        self._recent_enu_m: FloatArray = np.zeros((3, n))
         self._offset_ns = world.now_ns
         self._drift_m_s: FloatArray = np.zeros(n)
         self._crept: BoolArray = np.ones(n, dtype=np.bool_)
@@ -125,6 +129,7 @@ class Witness:
         motion = self._world.dynamics.motion
         stands = motion.on_ground
         self._stands_since_ns = np.where(stands, np.where(self._stands_since_ns < 0, now_ns, self._stands_since_ns), -1)
+        self._rose_ns = np.where(~stands & (self._rose_ns < 0), now_ns, self._rose_ns)
         for row in np.flatnonzero(motion.crashed | (motion.touchdown_m_s > TOUCHDOWN_MAX_M_S)).tolist():
             self._hit_ns.setdefault(row, now_ns)
         self._take_offsets(now_ns)
@@ -142,7 +147,11 @@ class Witness:
         before_m_s, self._drift_m_s = self._drift_m_s, np.linalg.norm(estimator.drift_enu_m_s, axis=0)
         speed_m_s = np.maximum(before_m_s, self._drift_m_s)
         at_once = more_m > speed_m_s * passed_s + _AT_ONCE_M
-        self._crept &= ~at_once & (speed_m_s <= _CREEPS_M_S[self._plan.positioning])
+        moved_m = estimator.offset_enu_m - self._offset_enu_m
+        self._recent_enu_m = self._recent_enu_m * np.exp(-passed_s / _FORGOTTEN_S) + moved_m
+        little = np.linalg.norm(self._recent_enu_m, axis=0) <= self._plan.limits.pose_jump_m
+        early = (self._rose_ns < 0) | (now_ns - self._rose_ns < _EARLY_NS)
+        self._crept &= ~at_once & ((early & little) | (speed_m_s <= _CREEPS_M_S[self._plan.positioning]))
         self._offset_enu_m = estimator.offset_enu_m.copy()
         np.fmax(self._offset_max_m, np.linalg.norm(estimator.offset_enu_m, axis=0), out=self._offset_max_m)
 
