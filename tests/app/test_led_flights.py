@@ -141,7 +141,7 @@ def test_whoever_is_led_at_random_keeps_r_fence_and_shape(seed: int, tmp_path: P
     """Orders as they come, most of them too large for the fence: what is taken is flown, what is refused is not."""
     rng = np.random.default_rng(seed)
     lines = []
-    for k in range(40):
+    for k in range(20):
         east, north, up = (float(value) for value in rng.uniform([-2.5, -2.5, -0.8], [2.5, 2.5, 1.5]))
         order = (
             f"move {east:.2f} {north:.2f} {up:.2f}",
@@ -150,12 +150,13 @@ def test_whoever_is_led_at_random_keeps_r_fence_and_shape(seed: int, tmp_path: P
             "stay",
         )[int(rng.choice(4, p=[0.5, 0.25, 0.2, 0.05]))]
         lines.append((0.5 + 1.4 * k, order))
-    steps = "steps=[form: {}, lead: {seconds: 60, smallest: 0.8, largest: 1.5}, hold: {seconds: 1}]"
-    flown = Led(*lines, small=True, steps=steps, log=tmp_path / "random.tlog")
+    steps = "steps=[form: {}, lead: {seconds: 30, smallest: 0.8, largest: 1.5}, hold: {seconds: 1}]"
+    log = tmp_path / "random.tlog" if seed == 0 else None  # to read one again costs as much as to fly it
+    flown = Led(*lines, small=True, steps=steps, log=log)
     assert flown.flight.runner.outcome == "completed", flown.flight.runner.reason
     flown.safe()
     assert flown.flight.meter.move_error_m < 0.15
     taken = len([text for text in flown.told("") if text.endswith((": done", ": ended early"))])
-    assert taken >= 4
+    assert taken >= 3
     assert any("beyond the fence" in text for text in flown.told("operator: "))
-    assert verify_log(tmp_path / "random.tlog").mismatches == 0
+    assert log is None or verify_log(log).mismatches == 0

@@ -41,21 +41,22 @@ class Among:
 
 
 @pytest.mark.parametrize(
-    "obstacle",
+    ("obstacle", "replayed"),  # to read a log again costs as much as to fly it
     [
-        "{name: wall, at_m: [2.5, 2.5, 0], size_m: [1.0, 1.0, 4.5]}",
-        "{name: pole, at_m: [2.5, 2.5, 0], radius_m: 0.5, height_m: 4.5}",
-        "{name: balloon, at_m: [2.5, 2.5, 1.2], radius_m: 0.7}",
+        ("{name: wall, at_m: [2.5, 2.5, 0], size_m: [1.0, 1.0, 4.5]}", True),
+        ("{name: pole, at_m: [2.5, 2.5, 0], radius_m: 0.5, height_m: 4.5}", False),
+        ("{name: balloon, at_m: [2.5, 2.5, 1.2], radius_m: 0.7}", False),
     ],
 )
-def test_the_way_home_goes_round_what_stands_in_it(obstacle: str, tmp_path: Path) -> None:
+def test_the_way_home_goes_round_what_stands_in_it(obstacle: str, *, replayed: bool, tmp_path: Path) -> None:
     steps = "steps=[form: {}, move: {by_m: [0, 4, 0]}, move: {by_m: [4, 0, 0]}, hold: {seconds: 1}]"
     plan = four(ROOM, steps, f"obstacles=[{obstacle}]", "speed_limit_m_s=1.0")
-    flown = Among(plan, log=tmp_path / "home.tlog")
+    log = tmp_path / "home.tlog" if replayed else None
+    flown = Among(plan, log=log)
     assert flown.flight.runner.outcome == "completed", flown.flight.runner.reason
     flown.safe()
     assert flown.nearest_m < 1.5  # it was in the way
-    assert verify_log(tmp_path / "home.tlog").mismatches == 0
+    assert log is None or verify_log(log).mismatches == 0
 
 
 def test_a_wall_that_cannot_be_slid_along_is_flown_round() -> None:
