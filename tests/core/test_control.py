@@ -271,7 +271,8 @@ def test_an_f_that_fits_doubles_the_fastest_mode_at_most_however_many_edges(
 ) -> None:
     points = size * np.random.default_rng(seed).normal(size=(n, 3))
     formation = Formation("random", points, tuple((i, j) for i in range(n) for j in range(i + 1, n)))
-    gains = Gains(xy=np.eye(n) * (1.0 - n) + (1.0 - np.eye(n)) + 0j, z=np.ones((n, n)) - n * np.eye(n))
+    laplacian = np.ones((n, n)) - n * np.eye(n)
+    gains = Gains(xy=laplacian.astype(np.complex128), z=laplacian)
     gain = control.fitting_scale_gain(formation, gains, "tanh", upright)
     without = control.stiffest_rate_1_s(formation, gains, FREE, upright)
     most = 2.0 * max(control.largest_rate_1_s(gains), without)
