@@ -28,6 +28,7 @@ from groundstation.mavlink.kinds import TYPE_GCS, Kind, kind_of
 from groundstation.mavlink.params import ParamValue
 from groundstation.mavlink.senders import Senders
 from groundstation.mavlink.texts import Text, Texts
+from groundstation.mavlink.traffic import Traffic
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -139,6 +140,7 @@ class Fleet:
         clocks: the vehicles' clocks on ours.
         senders: who else speaks under the vehicles' ids.
         restarts: times that a vehicle was seen to start anew, shape (n,).
+        traffic: aircraft that are none of the team, as vehicles pass on what is told of them.
         landed_state: MAV_LANDED_STATE, 0 (undefined) before, shape (n,).
         landed_ns: arrival of the last EXTENDED_SYS_STATE, shape (n,).
         prearm_ok: the autopilot's own arming checks pass, shape (n,).
@@ -202,6 +204,7 @@ class Fleet:
         self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
         self.clocks = Clocks(n)
         self.restarts: IntArray = np.zeros(n, dtype=np.int64)
+        self.traffic = Traffic()
         self.counts: Counter[str] = Counter()
         self.watch: Watch | None = None
         self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
@@ -585,6 +588,9 @@ class Fleet:
         self.place_ns[row[valid]] = measured_ns[valid]
         return valid
 
+    def _aircraft(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        self.traffic.take(batch, t_ns)
+
     def _origin(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         values = batch.values
         places = _place(values["latitude"], values["longitude"], values["altitude"])
@@ -736,6 +742,7 @@ _HANDLERS: dict[str, Callable[[Fleet, Batch, IntArray, IntArray], BoolArray | No
     "COMMAND_ACK": Fleet._command_ack,
     "STATUSTEXT": Fleet._statustext,
     "TIMESYNC": Fleet._timesync_message,
+    "ADSB_VEHICLE": Fleet._aircraft,
 }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.quick import some
 from groundstation.core.types import FloatArray, IntArray
+from groundstation.mission.flight.intruders import intruders
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.phases.machine import Machine
@@ -42,6 +43,8 @@ class Lookout:
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
         poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
+        flying = intruders(team.plan.spec.traffic, team.frame.placement, fleet.traffic, now_ns)
+        poses = poses if poses.intruders is flying else replace(poses, intruders=flying)
         findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))
         fleet.doubt_the_ground(board.flies)
         self._act(findings, poses, now_ns)
@@ -87,6 +90,7 @@ class Lookout:
             airborne=team.standing.airborne(now_ns),
             going_on=self._machine.going_on,
             vel_error_ned_m_s=board.speeds.known_error_ned_m_s,
+            intruders=poses.intruders,
         )
 
     def _act(self, findings: Findings, poses: Poses, now_ns: int) -> None:

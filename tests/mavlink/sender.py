@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -63,3 +64,24 @@ class Sender:
     def timesync(self, tc1_ns: int, ts1_ns: int) -> bytes:
         """TIMESYNC."""
         return self.raw(dialect.MAVLink_timesync_message(tc1_ns, ts1_ns))
+
+    def aircraft(
+        self,
+        place_deg_m: tuple[float, float, float],
+        vel_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        icao: int = 0x4B1234,
+        callsign: bytes = b"HB-ABC",
+        flags: int = 1 | 2 | 4 | 8 | 128,
+        geometric: bool = True,
+        since_s: int = 0,
+    ) -> bytes:
+        """ADSB_VEHICLE."""
+        lat_deg, lon_deg, height_m = place_deg_m
+        north, east, down = vel_ned_m_s
+        heading_cdeg = round(math.degrees(math.atan2(east, north)) * 100) % 36000
+        message = dialect.MAVLink_adsb_vehicle_message(
+            icao, round(lat_deg * 1e7), round(lon_deg * 1e7), int(geometric), round(height_m * 1e3), heading_cdeg,
+            round(math.hypot(north, east) * 100), round(-down * 100), callsign, 1, since_s, flags, 0,
+        )  # fmt: skip
+        return self.raw(message)

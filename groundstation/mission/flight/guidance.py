@@ -28,6 +28,7 @@ from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, alone, local_views
 from groundstation.mission.flight.fleeing import Fleeing
+from groundstation.mission.flight.intruders import NOBODY
 from groundstation.mission.flight.poses import OncePerPoses, Poses
 from groundstation.mission.flight.sensing import Sight
 from groundstation.mission.flight.surroundings import Surroundings
@@ -295,10 +296,16 @@ class Guide:
     def _standing_in_the_way(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
         """Unit vectors towards each obstacle, NED, shape (n, k, 3), and how fast agents may fly along them, m/s.
 
+        Those that stand come first, then those that fly.
+
         As the damper bounds who flies towards a vehicle that nobody steers: an obstacle does its half of nothing, so
         an agent does both, and what it moves already counts (docs/avoidance-why.md).
         """
         obstacles, damper = self._plan.obstacles, self._damper
+        if len(poses.intruders):
+            flying = poses.intruders.bounds(poses.pos_team_ned_m, poses.vel_ned_m_s, damper, obstacles.keep_m)
+            still = self._standing_in_the_way(replace(poses, intruders=NOBODY))
+            return np.concatenate([still[0], flying[0]], axis=1), np.concatenate([still[1], flying[1]], axis=1)
         if not len(obstacles):
             return np.zeros((self._plan.size, 0, 3)), np.zeros((self._plan.size, 0))
         left_m, away_enu = obstacles.distances(frames.enu_from_ned(poses.pos_team_ned_m))
@@ -351,9 +358,11 @@ class Guide:
             wish_flu_m_s = np.where(np.isfinite(flee_flu_m_s), flee_flu_m_s, wish_flu_m_s)
         towards_ned, most_m_s = self._standing_in_the_way(poses)
         walled = None
-        if len(self._plan.obstacles):
+        standing = len(self._plan.obstacles)  # what flies by is waited for, not flown round
+        if standing:
             wish_ned_m_s = frames.rotate(rot_ned_from_flu, wish_flu_m_s)
-            walled = ((towards_ned * wish_ned_m_s[:, None]).sum(axis=2) > most_m_s).any(axis=1)
+            along_m_s = (towards_ned[:, :standing] * wish_ned_m_s[:, None]).sum(axis=2)
+            walled = (along_m_s > most_m_s[:, :standing]).any(axis=1)
         common_flu, room = None, 1.0
         if common_enu_m_s is None:
             avoided = turn(views, wish_flu_m_s, self._region)
@@ -369,7 +378,7 @@ class Guide:
             avoided = turn(views, wish_flu_m_s, self._region)
             wanted_flu_m_s = saturate(avoided.vel_flu_m_s + common_flu, speed_max)
         normals_flu, bounds_m_s = walls(rot_ned_from_flu, low_m_s, high_m_s)
-        if len(self._plan.obstacles):
+        if most_m_s.shape[1]:
             towards_flu = frames.rotate_back(rot_ned_from_flu[:, None], towards_ned)
             normals_flu = np.concatenate([normals_flu, towards_flu], axis=1)
             bounds_m_s = np.concatenate([bounds_m_s, most_m_s], axis=1)

@@ -12,6 +12,7 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.quick import every
 from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mission.flight.intruders import NOBODY, Intruders
 
 _OUT_OF_SIGHT_M = 1e5
 _NOBODY: FloatArray = np.zeros(0)
@@ -31,6 +32,7 @@ class Poses:
             every manoeuvre, shape (n,), >= 0; zero for those we steer. Zeros when left out.
         vel_error_m_s: standard deviation of a velocity that is known to be poor, one axis, shape (n,), >= 0; zero for
             all others, whose error is part of the margin of r. Zeros when left out.
+        intruders: aircraft that are none of the team.
     """
 
     pos_team_ned_m: FloatArray
@@ -39,6 +41,7 @@ class Poses:
     sinking: BoolArray
     extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
     vel_error_m_s: FloatArray = field(default_factory=lambda: _NOBODY)
+    intruders: Intruders = NOBODY
 
     @cached_property
     def rot_ned_from_flu(self) -> FloatArray:

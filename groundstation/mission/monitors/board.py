@@ -27,6 +27,7 @@ from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.monitors.sinking import Sinking
 from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.monitors.touchdowns import Touchdowns
+from groundstation.mission.monitors.traffic import TrafficNear
 from groundstation.mission.monitors.vehicles import Battery, BatteryAge, Heartbeats, Modes
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
@@ -67,7 +68,7 @@ class Board:
             self.resting, self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
             BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following,
             Distance(plan), Descents(plan, self.wind, self.speeds), Restarts(plan), self._touchdowns,
-            self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions,
+            self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions, TrafficNear(plan),
         )  # fmt: skip
         self._losses = Losses(plan)
 

@@ -89,6 +89,11 @@ def build_plan(
     rates = fit_links(spec, addresses, source)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
     positioning = spec.positioning or ("gps" if gps else "mocap")
+    if spec.traffic is not None and not gps:
+        raise UserError(
+            f"{source}: traffic: places of aircraft are on earth, and no vehicle's are: give one `origin: gps` or"
+            " `position: global`, or leave traffic out"
+        )
     position_error_m = spec.position_error_m or max(POSITION_ERROR_M[positioning], profile.position_error_m)
     formations = {key: shape.formation.points_enu_m for key, shape in formed.items()}
     if not formed:

@@ -1,4 +1,4 @@
-"""Obstacles in the mission file: what stands in the place and is no vehicle of the team."""
+"""Obstacles in the mission file: what stands in the place, or flies through it, and is no vehicle of the team."""
 
 from __future__ import annotations
 
@@ -42,3 +42,13 @@ class ObstacleSpec(BaseModel):
                 self.name, at + np.array([0.0, 0.0, 0.5 * self.height_m]), self.radius_m, self.height_m
             )
         return SphereObstacle(self.name, at, self.radius_m or 0.0)
+
+
+class TrafficSpec(BaseModel):
+    """Aircraft told by ADSB_VEHICLE, which the team keeps out of the way of."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    radius_m: Annotated[float, Field(gt=0, le=1000)]
+    old_s: Annotated[float, Field(gt=0, le=60)] = 10.0
+    within_m: Annotated[float, Field(gt=0, le=100_000)] = 2000.0

@@ -24,7 +24,7 @@ from pydantic_core import CoreSchema
 
 from groundstation.core.findings import no_boolean
 from groundstation.mission.plan.fields import NotNegative, Number, Point, Positive
-from groundstation.mission.plan.obstacle_spec import ObstacleSpec
+from groundstation.mission.plan.obstacle_spec import ObstacleSpec, TrafficSpec
 from groundstation.mission.plan.sensing_spec import SensingSpec
 
 _COMES_TO_REST_S = 2.0
@@ -469,6 +469,7 @@ class _CourseKeys(_FormationKeys):
     on_lost: Literal["return_all", "continue_open", "continue_take_over"] = "return_all"
     fence: FenceSpec
     obstacles: Annotated[tuple[ObstacleSpec, ...], Field(max_length=32)] = ()
+    traffic: TrafficSpec | None = None
     sensing: SensingSpec | None = None
     limits: LimitsSpec = LimitsSpec()
     wind: WindSpec = WindSpec()

@@ -1,0 +1,103 @@
+"""Aircraft that are none of the team, in the team frame, and how fast vehicles may fly towards them.
+
+As obstacles they do nothing of their half of a manoeuvre: who flies near one does both (docs/avoidance-why.md). Nothing
+here believes more than a mission's ``traffic`` says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from groundstation.core.damper import DamperParams
+from groundstation.core.types import FloatArray
+from groundstation.mavlink.traffic import Traffic
+from groundstation.mission.flight.placement import Placement
+from groundstation.mission.plan.obstacle_spec import TrafficSpec
+from groundstation.mission.timing import SECOND_NS
+
+_TURNS_M_S = 5.0  # what it may have gone besides its velocity in each second since it was heard
+_TINY_M = 1e-9
+
+
+def _none() -> FloatArray:
+    return np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class Intruders:
+    """Where k aircraft are at one instant.
+
+    Attributes:
+        pos_team_ned_m: shape (k, 3); the third one is NaN where the height is not known: they are at every height then.
+        vel_ned_m_s: shape (k, 3); zero where it is not known.
+        radius_m: what is kept from the place by its size, its error and its age, without r, shape (k,).
+        names: for people, k of them.
+    """
+
+    pos_team_ned_m: FloatArray = field(default_factory=_none)
+    vel_ned_m_s: FloatArray = field(default_factory=_none)
+    radius_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    names: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        """How many, k."""
+        return len(self.names)
+
+    def distances(self, pos_team_ned_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far positions, shape (n, 3), are from each surface, shape (n, k), and unit vectors there, (n, k, 3)."""
+        offset = self.pos_team_ned_m[None] - pos_team_ned_m[:, None]
+        offset[..., 2] = np.where(np.isnan(offset[..., 2]), 0.0, offset[..., 2])
+        length = np.linalg.norm(offset, axis=2)
+        away = np.where((length > _TINY_M)[..., None], offset / np.maximum(length, _TINY_M)[..., None], [1.0, 0.0, 0.0])
+        return length - self.radius_m, away
+
+    def bounds(
+        self, pos_team_ned_m: FloatArray, vel_ned_m_s: FloatArray, damper: DamperParams, keep_m: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors towards each, NED, shape (n, k, 3), and how fast vehicles may fly along them, m/s, shape (n, k).
+
+        Args:
+            pos_team_ned_m: of the vehicles, shape (n, 3).
+            vel_ned_m_s: of the vehicles, shape (n, 3).
+            damper: lag, delay and limits.
+            keep_m: what is kept from every surface.
+        """
+        left_m, towards = self.distances(pos_team_ned_m)
+        comes_m_s = (towards * self.vel_ned_m_s[None]).sum(axis=2)
+        closing_m_s = np.maximum((towards * vel_ned_m_s[:, None]).sum(axis=2) - comes_m_s, 0.0)
+        left_m = left_m - keep_m - damper.horizon_s * closing_m_s
+        most_m_s = damper.rate_1_s * left_m + np.minimum(comes_m_s, 0.0)
+        return towards, np.maximum(most_m_s, -damper.speed_limit_m_s)
+
+
+NOBODY = Intruders()
+
+
+def intruders(spec: TrafficSpec | None, placement: Placement, traffic: Traffic, now_ns: int) -> Intruders:
+    """The aircraft that are told, each brought to an instant by its velocity.
+
+    Args:
+        spec: the mission's; None where it asks for none.
+        placement: where the team is on earth; where that is not known nobody is anywhere.
+        traffic: what was heard.
+        now_ns: the instant.
+    """
+    if spec is None or not len(traffic) or placement.anchor_deg_m is None:
+        return NOBODY
+    heard = traffic.since(now_ns - round(spec.old_s * SECOND_NS))
+    if not heard:
+        return NOBODY
+    places = np.array([item.place_deg_m for item in heard])
+    known = np.isfinite(places[:, 2])
+    places[~known, 2] = placement.anchor_deg_m[2]
+    pos = placement.from_anchor(places)
+    vel = np.nan_to_num(np.array([item.vel_ned_m_s for item in heard]))
+    age_s = np.maximum((now_ns - np.array([item.measured_ns for item in heard])) / SECOND_NS, 0.0)
+    pos += age_s[:, None] * vel
+    pos[~known, 2] = np.nan
+    near = np.hypot(pos[:, 0], pos[:, 1]) < spec.within_m
+    radius = spec.radius_m + _TURNS_M_S * age_s
+    names = tuple(item.name for item, shown in zip(heard, near.tolist(), strict=True) if shown)
+    return Intruders(pos[near], vel[near], radius[near], names)
