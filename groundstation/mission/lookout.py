@@ -42,9 +42,9 @@ class Lookout:
         """
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
-        poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
         flying = intruders(team.plan.spec.traffic, team.frame.placement, fleet.traffic, now_ns)
         poses = poses if poses.intruders is flying else replace(poses, intruders=flying)
+        poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
         findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))
         fleet.doubt_the_ground(board.flies)
         self._act(findings, poses, now_ns)
@@ -90,7 +90,6 @@ class Lookout:
             airborne=team.standing.airborne(now_ns),
             going_on=self._machine.going_on,
             vel_error_ned_m_s=board.speeds.known_error_ned_m_s,
-            intruders=poses.intruders,
         )
 
     def _act(self, findings: Findings, poses: Poses, now_ns: int) -> None:

@@ -175,9 +175,7 @@ def test_two_that_nothing_pulls_are_refused_by_key_and_two_that_are_pulled_are_n
             continue
         with pytest.raises(UserError) as error:
             _load(tmp_path, *values)
-        assert str(error.value).startswith(
-            f"{tmp_path}/m.yaml: {where}kind free, gain 2.5 with formation f of 2: nothing"
-        )
+        assert str(error.value).startswith(f"{tmp_path}/m.yaml: {where}kind free with formation f of 2: nothing")
     assert _load(tmp_path, *_pair([0.0, 0.0, 0.0], second)).stages[0].control_gain > 0.0
 
 

@@ -64,11 +64,12 @@ class Board:
         self.wind = Wind(plan, self.speeds)
         self._modes, self._following = Modes(plan), Following(plan, self.wind)
         self._contradictions, self._touchdowns = Contradictions(plan), Touchdowns(plan)
+        self._traffic = TrafficNear(plan)
         self._monitors: tuple[Monitor, ...] = (
             self.resting, self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
             BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following,
             Distance(plan), Descents(plan, self.wind, self.speeds), Restarts(plan), self._touchdowns,
-            self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions, TrafficNear(plan),
+            self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions, self._traffic,
         )  # fmt: skip
         self._losses = Losses(plan)
 
@@ -126,6 +127,7 @@ class Board:
             now_ns: time of the tick.
         """
         self.resting.take(poses.pos_team_ned_m, airborne)
+        self._traffic.take(poses.intruders)
         trusted = self._jumps.take(
             poses, pose_ns, self.speeds.rms_m_s, now_ns, airborne=airborne, good=self.speeds.good, calm=self.speeds.calm
         )

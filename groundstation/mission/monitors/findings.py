@@ -12,7 +12,6 @@ import numpy as np
 from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
-from groundstation.mission.flight.intruders import NOBODY, Intruders
 from groundstation.mission.timing import SECOND_NS, HeldEach
 
 
@@ -94,7 +93,6 @@ class Sight:
         airborne: armed, and does not report to stand on the ground, shape (n,).
         going_on: the mission goes on without a vehicle that is lost.
         vel_error_ned_m_s: what velocities that are known to be poor are off by, shape (n, 3); zeros when left out.
-        intruders: aircraft that are none of the team.
     """
 
     fleet: Fleet
@@ -112,7 +110,6 @@ class Sight:
     airborne: BoolArray
     going_on: bool = False
     vel_error_ned_m_s: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    intruders: Intruders = NOBODY
 
     def __post_init__(self) -> None:
         """Fills in what was left out."""

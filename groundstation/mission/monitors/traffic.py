@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from groundstation.core.types import BoolArray
+from groundstation.mission.flight.intruders import NOBODY, Intruders
 from groundstation.mission.monitors.findings import Finding, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
@@ -24,27 +25,32 @@ class TrafficNear:
         self._keep_m = plan.obstacles.keep_m
         self._speed_m_s = plan.spec.speed_limit_m_s
         self._told_ns: dict[tuple[str, bool], int] = {}
+        self._intruders = NOBODY
+
+    def take(self, intruders: Intruders) -> None:
+        """Takes the aircraft of a tick, before ``look``."""
+        self._intruders = intruders
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of each aircraft once in a while, with the vehicle that it is nearest to."""
-        flies = sight.airborne & ours & ~sight.blind
-        if not len(sight.intruders) or not flies.any():
+        flies, intruders = sight.airborne & ours & ~sight.blind, self._intruders
+        if not len(intruders) or not flies.any():
             return
         rows = flies.nonzero()[0]
-        distance_m, _ = sight.intruders.distances(sight.pos_team_ned_m[rows])
+        distance_m, _ = intruders.distances(sight.pos_team_ned_m[rows])
         left_m = distance_m - self._keep_m
-        comes_m_s = (sight.intruders.vel_ned_m_s**2).sum(axis=1) ** 0.5 + self._speed_m_s
-        for k, name in enumerate(sight.intruders.names):
+        comes_m_s = (intruders.vel_ned_m_s**2).sum(axis=1) ** 0.5 + self._speed_m_s
+        for k, name in enumerate(intruders.names):
             nearest = int(left_m[:, k].argmin())
             least_m = float(left_m[nearest, k])
             near, too_near = least_m < max(_NEAR_LEAST_M, _NEAR_S * float(comes_m_s[k])), least_m < 0.0
             if not near or sight.now_ns - self._told_ns.get((name, too_near), -_AGAIN_NS) < _AGAIN_NS:
                 continue
             self._told_ns[name, too_near] = sight.now_ns
-            away_m = least_m + self._keep_m + float(sight.intruders.radius_m[k])
+            away_m = least_m + self._keep_m + float(intruders.radius_m[k])
             words = f"aircraft {name} is {away_m:.0f} m away (ADS-B)"
             if too_near:
-                least = self._keep_m + float(sight.intruders.radius_m[k])
+                least = self._keep_m + float(intruders.radius_m[k])
                 words += f", minimum is {least:.0f} m; it is faster than the team can make room: land, or bring it home"
             else:
                 words += "; the team keeps out of its way"

@@ -163,8 +163,9 @@ def make_stage(
         automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
     except ValueError as error:
         at = "" if key == "formation" or scale is None else f"{key}."
+        strength = "" if law.kind == "free" else f", gain {gain:g}"
         raise UserError(
-            f"{source}: {at}scale: kind {law.kind}, gain {gain:g} with formation {shape.formation.name} of"
+            f"{source}: {at}scale: kind {law.kind}{strength} with formation {shape.formation.name} of"
             f" {shape.formation.size}: {error}; use kind: arctan with its own gain (auto)"
         ) from None
     chosen = assignment or spec.assignment
