@@ -7,6 +7,7 @@ import os
 import socket
 from contextlib import suppress
 from dataclasses import fields, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from groundstation.app.console.feed import Feed, ghost_enu_m, largest_error_m, remove_dead, smallest_distance_m
 from groundstation.app.console.guard import Guard, Keys, Message, Receive, Role, Scope, Send
 from groundstation.app.console.helm import HelmSeat
+from groundstation.app.console.link_loss import LinkLoss
 from groundstation.app.console.snapshot import AIRBORNE, BYTES_MAX, FIGURES, NOTES_MAX, Snapshot, decode, encode
 from groundstation.app.console.viewers import Viewers
 from groundstation.app.flying import fly_dry
@@ -24,6 +26,7 @@ from groundstation.app.order_socket import prepare_folder
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
+from groundstation.mavlink.codec import Encoder
 from groundstation.mission.operator import Order
 from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.reading import load_mission
@@ -300,6 +303,40 @@ def test_the_log_says_who_gave_an_order(tmp_path: Path) -> None:
         assert not [note for note in desk.session.take_notes() if "given by" in note.text]
 
 
+def test_what_arming_waits_for_is_told_until_it_comes(desk: Desk) -> None:
+    viewers, runner = Viewers(Path("/nowhere"), desk.session.runner.plan), desk.session.runner
+    assert runner.problems
+    told = decode(encode(viewers.snapshot(desk.session, desk.now_ns))).words
+    assert (told.phase, told.problems) == ("connect", tuple(runner.problems))
+    desk.session.operator("return", desk.now_ns)
+    desk.tick()
+    assert runner.phase is not Phase.CONNECT
+    assert decode(encode(viewers.snapshot(desk.session, desk.now_ns))).words.problems == ()
+
+
+@given(st.lists(st.booleans(), min_size=2, max_size=300), st.sampled_from([1, 2]))
+def test_what_is_lost_on_a_link_is_counted(lost: list[bool], version: int) -> None:
+    encoder, companion, loss = Encoder(7, 1, version), Encoder(7, 191), LinkLoss()
+    frames = [encoder.encode("HEARTBEAT", custom_mode=number) for number in range(len(lost))]
+    came = [frame for frame, gone in zip(frames, lost, strict=True) if not gone]
+    loss.take(b"".join(came[:3]) + companion.encode("HEARTBEAT"))
+    for frame in came[3:]:
+        loss.take(frame)
+    share, unheard = loss.take_shares([7, 8])
+    assert np.isnan(unheard)
+    if came:  # what went before the first and after the last that came is not known of
+        known = lost[lost.index(False) : len(lost) - lost[::-1].index(False)]
+        longest = max((len(list(run)) for gone, run in groupby(known) if gone), default=0)
+        assert share == pytest.approx(sum(known) / len(known)) or longest >= 128
+    assert np.isnan(loss.take_shares([7])).all()
+
+
+@given(st.binary(max_size=200))
+def test_bytes_that_are_no_frames_are_nothing_lost_and_raise_nothing(data: bytes) -> None:
+    LinkLoss().take(data)
+    LinkLoss().take(b"\xfd" + data)
+
+
 def test_figures_of_the_emulator_stand_in_place_of_reported_ones(desk: Desk) -> None:
     viewers = Viewers(Path("/nowhere"), desk.session.runner.plan, lambda: {"min_distance_m": 0.25})
     assert viewers.snapshot(desk.session, desk.now_ns).figure("min_distance_m") == 0.25
@@ -338,6 +375,7 @@ def test_consoles_that_are_killed_or_stall_cost_the_flight_not_a_byte(
 
         watched = fly_dry(out, plan, tmp_path / "watched.tlog", (), seed=3, realtime=False, console=True, watch=watch)
     assert {snapshot.words.phase for snapshot in got} >= {"connect", "arm", "takeoff", "form"}
+    assert {*got[-1].lost_share} == {0.0}  # the emulator's links lose nothing
     assert "hold" not in {snapshot.words.phase for snapshot in got}
     assert (tmp_path / "watched.tlog").read_bytes() == (tmp_path / "alone.tlog").read_bytes()
     np.testing.assert_equal({**watched, "log": ""}, {**alone, "log": ""})

@@ -17,7 +17,7 @@ from groundstation.core.metrics import min_distance_m, pair_distances_m
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.keeping import heading_of
 
-HISTORY = "t_s", "min_distance_m", "error_m", "tick_ms", "oldest_pose_s"
+HISTORY = "t_s", "min_distance_m", "error_m", "tick_ms", "most_lost_percent"
 _KEPT = 2_400
 _NOTES_KEPT = 10_000
 _TAKEN_MAX = 32  # of those that wait, at once
@@ -34,10 +34,10 @@ def smallest_distance_m(snapshot: Snapshot) -> float:
     return least_m if np.isfinite(least_m) else np.nan
 
 
-def oldest_pose_s(snapshot: Snapshot) -> float:
-    """Age of the oldest position of those in the air: what lost telemetry comes to; NaN while nobody is."""
-    age_s = snapshot.pose_age_s[(snapshot.state & AIRBORNE) != 0]
-    return float(np.nanmax(age_s)) if np.isfinite(age_s).any() else np.nan
+def most_lost_percent(snapshot: Snapshot) -> float:
+    """Share of frames that was lost of the vehicle of which most were; NaN before anything was counted."""
+    known = np.isfinite(snapshot.lost_share)
+    return 100.0 * float(snapshot.lost_share[known].max()) if known.any() else np.nan
 
 
 def wished_m(snapshot: Snapshot) -> FloatArray:
@@ -123,7 +123,7 @@ class Feed:
                     smallest_distance_m(snapshot),
                     largest_error_m(snapshot),
                     snapshot.tick_ms,
-                    oldest_pose_s(snapshot),
+                    most_lost_percent(snapshot),
                 )
             )
 

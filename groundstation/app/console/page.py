@@ -85,6 +85,7 @@ class Page:
             kill.props("color=red-9").on("pointerdown", self._press).on("pointerup", self._release)
             kill.on("pointerleave", self._forget)
         ui.label("Kill stops motors at once, vehicles fall: those selected in the table, or all.").classes("text-xs")
+        self._waiting = ui.label().classes("text-sm whitespace-pre-line").props(named("problems"))
         self._answer = ui.label("no order yet").classes("text-sm font-bold").props(named("answer") + " role=status")
 
     def _button(self, text: str, order: Order, act: Callable[..., object] | None) -> ui.button:
@@ -162,6 +163,7 @@ class Page:
         self._title.set_text(words.mission)
         self._phase.set_text(words.phase)
         self._outcome.set_text(words.outcome)
+        self._waiting.set_text("\n".join(f"waiting: {text}" for text in words.problems))
         self._age.set_text(f"{snapshot.t_s:.1f} s{', ' + feed.problem if feed.problem else ''}")
         for button, tip, order in self._buttons:
             why = desk.helm.refusal(self._page, self._role, order, words.phase)

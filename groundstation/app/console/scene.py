@@ -57,7 +57,8 @@ class TeamScene:
                     ends = [[float((low, high)[c][axis]) for axis, c in enumerate(end)] for end in (one, other)]
                     scene.line(*ends).material(SKY)
             self._bodies = [scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE) for _ in range(n)]
-            self._regions = [scene.sphere(r_m / 2).material(BLUE, 0.15) for _ in range(n)]
+            # Their inner sides alone: outer ones may be drawn before what is in them, which is then not seen.
+            self._regions = [scene.sphere(r_m / 2).material(BLUE, 0.15, "back") for _ in range(n)]
             self._ghosts = [scene.sphere(0.3 * body_m).material(GREEN, 0.6).visible(False) for _ in range(n)]
             self._clouds = [scene.point_cloud([[0, 0, 0]], [[0, 0.45, 0.7]], 0.03) for _ in range(n)]
             self._labels = [scene.text(str(sysid)) for sysid in snapshot.ids.tolist()]
@@ -108,7 +109,7 @@ class TeamScene:
             if self._colours.get(row) != colour:
                 self._colours[row] = colour
                 self._bodies[row].material(colour)
-                self._regions[row].material(colour, 0.3 if bits & (LOST | FOREIGN | HELD) else 0.15)
+                self._regions[row].material(colour, 0.3 if bits & (LOST | FOREIGN | HELD) else 0.15, "back")
             if snapshot.extra_radius_m[row] > 0.0:
                 self._regions[row].scale(1.0 + 2.0 * float(snapshot.extra_radius_m[row]) / self._r_m)
             self._trails[row].append(at)

@@ -22,6 +22,7 @@ from groundstation.app.order_client import ask
 
 _ANSWER_S = 5.0
 _READ_S = 0.05
+_OUT_OF_TOUCH_S = 30.0  # a page that is slow or far away stays what it is, and keeps the helm, for so long
 _CLOSE_S = 1  # to pages that are open when it is ended
 SOLID, FLAT = "/", "/flat"
 """Pages with the scene in three dimensions and without it."""
@@ -107,6 +108,6 @@ def serve(place: Place, keys: Keys, make: PageMaker) -> None:
     for path in (SOLID, FLAT):
         ui.page(path)(lambda path=path: page(solid=path == SOLID))
     outer = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    ui.run_with(outer, title="gs console", dark=None, show_welcome_message=False)
+    ui.run_with(outer, title="gs console", dark=None, show_welcome_message=False, reconnect_timeout=_OUT_OF_TOUCH_S)
     config = uvicorn.Config(Guard(outer, keys), ws="wsproto", log_level="warning", timeout_graceful_shutdown=_CLOSE_S)
     uvicorn.Server(config).run(sockets=[place.socket])

@@ -38,6 +38,7 @@ _WIDTHS = {
     "battery": 0,
     "pose_age_s": 0,
     "silent_s": 0,
+    "lost_share": 0,
     "extra_radius_m": 0,
     "pads_enu_m": 3,
     "goal_enu_m": 3,
@@ -58,6 +59,7 @@ class Words:
         said: last text of each vehicle.
         notes: newest things that happened: seconds, kind, text.
         radius_m: r of the mission.
+        problems: what stands between the team and arming, with its remedy, before that.
     """
 
     mission: str
@@ -68,6 +70,7 @@ class Words:
     said: tuple[str, ...]
     notes: tuple[tuple[float, str, str], ...]
     radius_m: float
+    problems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ class Snapshot:
         battery: 0 to 1, shape (n,).
         pose_age_s: shape (n,).
         silent_s: since when nothing was heard, shape (n,).
+        lost_share: of its frames in the last second, 0 to 1, shape (n,).
         extra_radius_m: what is added to r around whom nobody steers, shape (n,).
         pads_enu_m: shape (n, 3).
         goal_enu_m: the point of each one's role, at the formation's present size, anywhere, shape (n, 3).
@@ -108,6 +112,7 @@ class Snapshot:
     battery: FloatArray
     pose_age_s: FloatArray
     silent_s: FloatArray
+    lost_share: FloatArray
     extra_radius_m: FloatArray
     pads_enu_m: FloatArray
     goal_enu_m: FloatArray
@@ -140,6 +145,7 @@ def encode(snapshot: Snapshot) -> bytes:
             "said": words.said,
             "notes": words.notes[-NOTES_MAX:],
             "radius_m": words.radius_m,
+            "problems": words.problems,
             "tick_ms": snapshot.tick_ms if math.isfinite(snapshot.tick_ms) else None,
         }
     ).encode()
@@ -176,6 +182,7 @@ def decode(data: bytes) -> Snapshot:
             said=tuple(map(str, header["said"])),
             notes=tuple((float(t_s), str(kind), str(text)) for t_s, kind, text in header["notes"]),
             radius_m=float(header["radius_m"]),
+            problems=tuple(map(str, header["problems"])),
         )
         t_s = float(header["t_s"])
         tick_ms = math.nan if header["tick_ms"] is None else float(header["tick_ms"])

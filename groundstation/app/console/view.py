@@ -14,7 +14,20 @@ from groundstation.app.console.snapshot import AIRBORNE, ARMED, FOREIGN, HELD, L
 from groundstation.core.types import FloatArray
 from groundstation.mission.roster import Duty
 
-COLUMNS = ("id", "role", "duty", "mode", "armed", "battery", "pose age", "silent", "setpoint", "state", "last words")
+COLUMNS = (
+    "id",
+    "role",
+    "duty",
+    "mode",
+    "armed",
+    "battery",
+    "pose age",
+    "silent",
+    "lost",
+    "setpoint",
+    "state",
+    "last words",
+)
 _FIGURES = (
     ("smallest distance so far", "min_distance_m"),
     ("smallest distance now", "distance_now_m"),
@@ -32,7 +45,7 @@ _CHARTS = (
     ("smallest distance, m", BLUE),
     ("largest error of the formation, m", GREEN),
     ("a tick has sent so long after it was due, ms", SKY),
-    ("oldest position of those in the air, s", ORANGE),
+    ("lost of the frames of the worst link in a second, %", ORANGE),
 )
 """Of the columns of a history, after the time."""
 _LINES = 400
@@ -60,6 +73,7 @@ def rows_of(snapshot: Snapshot) -> list[dict[str, str | int]]:
                 "battery": number(snapshot.battery[row] * 100.0, "%", 0),
                 "pose age": number(snapshot.pose_age_s[row], " s", 2),
                 "silent": number(snapshot.silent_s[row], " s", 1),
+                "lost": number(snapshot.lost_share[row] * 100.0, "%", 0),
                 "setpoint": number(speed_m_s, " m/s", 2),
                 "state": next((name for bit, name in words if bits & bit), "on the ground"),
                 "last words": snapshot.words.said[row],
@@ -139,7 +153,7 @@ class TeamView:
                 self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs").props(named(prefix + "notes"))
         self.timeline = ui.echart(timeline_options([], [], 0.0, 1.0)).classes("w-full h-28")
         self.timeline.props(named(prefix + "timeline"))
-        with ui.grid(columns=1).classes("w-full gap-0" if narrow else "w-full gap-0 md:grid-cols-2"):
+        with ui.element("div").classes("w-full" if narrow else "w-full grid grid-cols-1 md:grid-cols-2"):
             self._charts = [
                 ui.echart(chart_options(title, np.zeros((0, 2)), colour)).classes("w-full h-36")
                 for title, colour in _CHARTS[:charts]

@@ -12,13 +12,14 @@ import math
 import os
 import socket
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
+from groundstation.app.console.link_loss import LinkLoss
 from groundstation.app.console.snapshot import (
     AIRBORNE,
     ARMED,
@@ -37,6 +38,7 @@ from groundstation.app.session import Session
 from groundstation.app.tick_times import TickTimes
 from groundstation.core import frames
 from groundstation.mavlink.vehicle import UNKNOWN
+from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 
@@ -46,6 +48,7 @@ _SEARCH_NS = SECOND_NS
 _ENDLESS_S = 1e9
 _LAST_S = 1.0
 _TEXT_MAX = 300
+_PROBLEMS_MAX = 30
 
 
 class Viewers:
@@ -78,6 +81,9 @@ class Viewers:
         self._next_ns = self._search_ns = 0
         self._notes: deque[tuple[float, str, str]] = deque(maxlen=NOTES_MAX)
         self._said = [""] * plan.size
+        self._loss = LinkLoss()
+        self._lost_share = np.full(plan.size, np.nan)
+        self._listens = False
         self._socket: socket.socket | None = None
 
     def __enter__(self) -> Viewers:
@@ -106,6 +112,7 @@ class Viewers:
             if now_ns >= self._search_ns:
                 self._search_ns = now_ns + _SEARCH_NS
                 self._found = sorted(self._folder.glob(f"{os.getpid()}-*.view"))
+                self._listen(session)
             if self._found and (now_ns >= self._next_ns or over):
                 self._next_ns = now_ns + EVERY_NS
                 if over and self._socket is not None:  # nobody is steered any more: the last one may wait for room
@@ -113,6 +120,20 @@ class Viewers:
                 self._send(encode(self.snapshot(session, now_ns)))
         except Exception as error:
             self.problem = f"{type(error).__name__}: {error}"
+
+    def _listen(self, session: Session) -> None:
+        """Counts what is lost on the links from when somebody looks on; once a second it is told."""
+        if self._listens:
+            self._lost_share = self._loss.take_shares([vehicle.id for vehicle in self._plan.spec.vehicles])
+        elif self._found:
+            self._listens, before = True, session.onward
+
+            def take(data: bytes) -> None:
+                self._loss.take(data)
+                if before is not None:
+                    before(data)
+
+            session.onward = take
 
     def _keep(self, kind: str, text: str, now_ns: int) -> None:
         self._notes.append((now_ns / SECOND_NS, kind, text[:_TEXT_MAX]))
@@ -156,6 +177,7 @@ class Viewers:
                 said=tuple(self._said),
                 notes=tuple(self._notes),
                 radius_m=plan.spec.avoidance.radius_m,
+                problems=_first(runner.problems) if runner.phase is Phase.CONNECT else (),
             ),
             t_s=now_ns / SECOND_NS,
             ids=fleet.sysid,
@@ -168,6 +190,7 @@ class Viewers:
             battery=fleet.battery_remaining,
             pose_age_s=_age_s(now_ns - look.pose_ns),
             silent_s=_age_s(now_ns - fleet.heard_ns),
+            lost_share=self._lost_share,
             extra_radius_m=look.poses.extra_radius_m,
             pads_enu_m=plan.pads_enu_m,
             goal_enu_m=look.formation.points_enu_m[role],
@@ -176,6 +199,13 @@ class Viewers:
             figures=np.array([known.get(name, getattr(figures, name, np.nan)) for name in FIGURES], dtype=np.float64),
             tick_ms=self._tick_ms(),
         )
+
+
+def _first(problems: Sequence[str]) -> tuple[str, ...]:
+    """As many as a page has room for, and how many there are beside."""
+    more = len(problems) - _PROBLEMS_MAX
+    kept = [text[:_TEXT_MAX] for text in problems[:_PROBLEMS_MAX]]
+    return (*kept, f"and {more} more") if more > 0 else tuple(kept)
 
 
 def shown(
