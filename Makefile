@@ -42,7 +42,7 @@ test: $(STAMP) browser
 browser:
 	@command -v chromium >/dev/null || { \
 	  as=; [ "$$(id -u)" = 0 ] || as='sudo -n'; \
-	  apt() { timeout 300 $$as env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=60 "$$@" > /dev/null; }; \
+	  apt() { timeout 200 $$as env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=60 -o Acquire::Retries=0 -o Acquire::http::Timeout=20 "$$@" > /dev/null; }; \
 	  add() { apt install -y --no-install-recommends chromium; }; \
 	  add || { apt update && add; } || \
 	  echo 'no chromium, and apt-get could not install it here: tests in a browser are skipped; apt-get install chromium'; }
