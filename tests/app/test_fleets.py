@@ -24,7 +24,7 @@ from sitl.autopilot import Autopilot
 from sitl.estimator import GPS
 from sitl.network import LinkConfig
 from sitl.world import Outgoing, World, WorldConfig
-from tests.app.flights import FULL_RATE, SECOND_NS, Flight, mission, pair
+from tests.app.flights import SECOND_NS, Flight, mission, pair
 
 HEARTBEAT = message_id("HEARTBEAT")
 ORIGIN = message_id("GPS_GLOBAL_ORIGIN")
@@ -64,11 +64,12 @@ def _verified(path: Path) -> None:
     ("name", "seed"), [("px4_cube8", 1), ("arducopter_two_squares8", 2), ("mixed8", 3), ("first_flight2", 4)]
 )
 def test_the_missions_that_come_along_are_flown_and_keep_r(name: str, seed: int, tmp_path: Path) -> None:
-    log = tmp_path / "flight.tlog"
-    rate = (FULL_RATE,) if name == "mixed8" else ()  # that one as it comes: it has vehicles of both kinds
-    flight = Flight(mission(name, *rate), seed=seed, log=log, chatter=True)
+    """At half their rate, and held for a moment."""
+    log = tmp_path / "flight.tlog" if name == "mixed8" else None  # that one has vehicles of both kinds
+    flight = Flight(mission(name, "steps.1.hold.seconds=3"), seed=seed, log=log, chatter=True)
     _assert_flown(flight)
-    _verified(log)
+    if log is not None:
+        _verified(log)
 
 
 @pytest.mark.parametrize("autopilots", BOTH)

@@ -31,9 +31,10 @@ from groundstation.mission.runner import Phase, Runner
 from groundstation.records.manifest import read_manifest
 from sitl.world import World
 from tests.app.commands import gs
-from tests.app.flights import CUBE8, SECOND_NS, Flight, without_chatter
+from tests.app.flights import CUBE8, FULL_RATE, HALF_RATE, SECOND_NS, Flight, without_chatter
 
 _TWO = (
+    HALF_RATE,
     "formation=../formations/pair2.yaml",
     "formation_scale=1.5",
     "gains=../gains/pair2.npz",
@@ -230,7 +231,7 @@ def test_a_law_that_takes_too_long_loses_the_team_which_comes_home(took_s: float
                 clock.now_ns += round(took_s * SECOND_NS)
             return np.zeros((2, 3))
 
-    plan = _two(tmp_path, "law=here:Slow", "steps.0.form.timeout_s=60", given={"law": Slow})
+    plan = _two(tmp_path, FULL_RATE, "law=here:Slow", "steps.0.form.timeout_s=60", given={"law": Slow})
     world = World(without_chatter(world_config(plan, 1)), 1)
     runner = Runner(plan, 0)
     session = Session(runner, None)
@@ -262,7 +263,7 @@ def test_how_long_a_law_takes_is_told_and_so_is_one_that_never_comes_back(tmp_pa
         stuck.append(watches[0].stuck())
         return np.zeros((2, 3))
 
-    plan = _two(tmp_path, given={})
+    plan = _two(tmp_path, FULL_RATE, given={})
     found = CodeSource(given={"law": lambda seen: np.zeros((2, 3))}).find("law", "here:thoughtful", {}, "x")
     code = own_code.OwnCode("here:thoughtful", lambda: thoughtful, found.version, found.sha256)
     watch = LawWatch(_with(plan, code), lambda: clock.now_ns)
