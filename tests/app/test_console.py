@@ -314,6 +314,7 @@ def test_what_arming_waits_for_is_told_until_it_comes(desk: Desk) -> None:
     assert decode(encode(viewers.snapshot(desk.session, desk.now_ns))).words.problems == ()
 
 
+@settings(deadline=None)
 @given(st.lists(st.booleans(), min_size=2, max_size=300), st.sampled_from([1, 2]))
 def test_what_is_lost_on_a_link_is_counted(lost: list[bool], version: int) -> None:
     encoder, companion, loss = Encoder(7, 1, version), Encoder(7, 191), LinkLoss()
@@ -331,6 +332,7 @@ def test_what_is_lost_on_a_link_is_counted(lost: list[bool], version: int) -> No
     assert np.isnan(loss.take_shares([7])).all()
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_bytes_that_are_no_frames_are_nothing_lost_and_raise_nothing(data: bytes) -> None:
     LinkLoss().take(data)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.app.console.feed import largest_error_m, smallest_distance_m
@@ -85,6 +85,7 @@ def test_events_and_orders_are_marks_in_order_of_time(flight: Flight, recorded: 
     assert flight.operator  # so that an empty list is no success
 
 
+@settings(deadline=None)
 @given(st.floats(-10.0, 1_000.0))
 def test_every_moment_is_a_snapshot_that_can_be_shown(recorded: Recorded, t_s: float) -> None:
     snapshot = recorded.at(t_s)
@@ -105,6 +106,7 @@ def test_a_log_without_a_manifest_is_shown_as_far_as_it_tells(tmp_path: Path) ->
     assert (snapshot.fence_enu_m[0] < snapshot.fence_enu_m[1]).all()
 
 
+@settings(deadline=None)
 @given(st.lists(st.one_of(st.just("toggle"), st.floats(-5.0, 50.0), st.sampled_from(SPEEDS), st.integers(0, 3))))
 def test_a_player_never_leaves_the_flight(deeds: list[str | float | int]) -> None:
     player, marks = Player(30.0), [(1.0, "info", "a"), (20.0, "info", "b")]
