@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "design": ("design", "Design the gains of a formation."),
     "sitl": ("sitl", "Run emulated vehicles for any ground station."),
     "gateway": ("gateway", "Serve Crazyflies as MAVLink vehicles to any ground station."),
+    "mocap": ("mocap", "Send frames of a motion capture system to flights: read, faked, or played."),
     "sitl-env": ("sitl_env", "Print the lines that start a mission's team on the autopilots' own simulators."),
     "replay": ("replay", "Look at a log, stream it, or verify it bit by bit."),
     "report": ("report", "Draw the pictures of a log."),

@@ -55,7 +55,7 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                     f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: a {vehicle.autopilot} tells where"
                     " it is in the room, which is the team's frame; write origin: team"
                 )
-        elif vehicle.origin in ("team", "declared"):
+        elif vehicle.origin in ("team", "declared") and plan.room_link is None:
             raise UserError(
                 f"{plan.source}: vehicles[{number}].origin: {vehicle.origin}: emulated vehicles start their local frame"
                 f" where they stand; for a dry run add --set vehicles.{number}.origin=pad"
@@ -78,6 +78,7 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 yaw_enu_rad=float(yaw),
                 noise=GPS if plan.positioning == "gps" else MOCAP,
                 streams=PERSONALITIES[vehicle.autopilot].streams,
+                gps=plan.room_link is None,
                 signing_key=None if key is None else key.setup_bytes(),
                 params=_params(vehicle, autopilot.failsafes.settings(wish)),
             )

@@ -19,10 +19,11 @@ from groundstation.app.console.viewers import shown
 from groundstation.app.emulator import TruthMeter, served_world, world_config
 from groundstation.app.fence_giving import give_fence
 from groundstation.app.forwarding import Forward
-from groundstation.app.gateway.emulated import GatewayWorld
 from groundstation.app.keyboard import Keyboard
 from groundstation.app.law_watch import LawWatch
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
+from groundstation.app.mocap.emulated import emulated_team
+from groundstation.app.mocap.process import reading
 from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.order_client import runtime_folder
 from groundstation.app.order_socket import OrderSocket
@@ -198,7 +199,7 @@ def fly_dry(
             display = at_the_desk.enter_context(FlightDisplay(out.console, plan, prompt=prompt))
             fly_virtual(
                 session,
-                GatewayWorld(world),
+                emulated_team(plan, world, seed),
                 period_ns=period_ns(plan),
                 watchers=(
                     display,
@@ -329,6 +330,7 @@ def fly_vehicles(
             log_path, versions(), emulated_seed, replace=replace_log, through=disk.through, faults=struck
         )
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
+        stack.enter_context(reading(plan))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
         session, gate, links = flight.session, flight.gate, flight.links
         if flight.unlogged:
@@ -363,7 +365,7 @@ def fly_vehicles(
         _tell_refused(out, values, plan, gate)
         _tell_forward(out, forward)
         record = _for_the_record(session.runner, gate)
-        for url, link in zip(plan.links, links, strict=True):
+        for url, link in zip(plan.all_links, links, strict=True):
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()

@@ -177,6 +177,9 @@ def fly_virtual(
     fleet = session.runner.fleet
     peers, links = [f"emulator:{sysid}" for sysid in fleet.sysid], fleet.link.tolist()
     vehicle_of_peer = {peer: vehicle for vehicle, peer in enumerate(peers)}
+    if fleet.room is not None:  # one more, who speaks of all of them
+        peers.append("emulator:room")
+        links.append(fleet.room.config.link)
     desk = _Desk(controls, session)
     now_ns = 0
     while not session.runner.done:

@@ -59,7 +59,7 @@ class Flight(Generic[AnySession]):
     Attributes:
         session: steps it.
         gate: checks and makes signatures; None where no link is signed.
-        links: open ones, in the order of the plan's; empty in virtual time.
+        links: open ones, in the order of the plan's, the room's last; empty in virtual time.
         clock: the flight's time; None in virtual time.
         log: None where nothing is recorded.
         manifest: as it is at the start; None where nothing is to be recorded.
@@ -101,7 +101,7 @@ def open_flight(
     Raises:
         UserError: a link, a key file or the log cannot be opened; vehicles in the air wait for no disk.
     """
-    links = [stack.enter_context(closing(open_link(url))) for url in plan.links] if real else []
+    links = [stack.enter_context(closing(open_link(url))) for url in plan.all_links] if real else []
     clock = FlightClock() if real else None
     epoch_unix_us = clock.epoch_unix_us if clock is not None else DRY_RUN_EPOCH_UNIX_US
     gate = open_gate(plan, epoch_unix_us, keep_times=keep_times) if sign else None

@@ -14,6 +14,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "solvers": ("cvxpy",),
     "console": ("nicegui", "fastapi", "uvicorn"),
     "crazyflie": ("cflib",),
+    "mocap": ("motioncapture",),
 }
 """Extra of this project: the packages that it brings, by the names that they are imported by."""
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from groundstation.gateway.measured import Pose, charge, read_pose
-from groundstation.gateway.orders import Order, SetParam
+from groundstation.gateway.measured import Pose, charge, enu_from_flu, read_pose
+from groundstation.gateway.orders import ExternalPose, Order, SetParam
 from groundstation.gateway.params import ParamServer
 from groundstation.gateway.pilot import SECOND_NS, Mode, Pilot
 from groundstation.gateway.settings import Settings
 from groundstation.gateway.stamps import Stamps
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, StructuredArray, decode, message_id
+from groundstation.mavlink.mocap_frames import PACKED_TYPE, unpacked_poses
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4  # MAV_RESULT
@@ -144,7 +145,23 @@ class Bridge:
     def take(self, frame: Frame, now_ns: int) -> None:
         """Takes one frame of a ground station."""
         for batch in decode([frame]):
-            self._obey(batch.name, batch.values[0], now_ns)
+            if batch.name == "TUNNEL":
+                self._see(batch.values[0])
+            else:
+                self._obey(batch.name, batch.values[0], now_ns)
+
+    def _see(self, values: StructuredArray) -> None:
+        """Takes its pose out of those of several; of those that wait only the newest goes on to the vehicle."""
+        if int(values["payload_type"]) != PACKED_TYPE:
+            return
+        for sysid, (north, east, down, *quat) in unpacked_poses(
+            bytes(values["payload"][: int(values["payload_length"])])
+        ):
+            if sysid != self.sysid or not all(map(math.isfinite, (north, east, down))):
+                continue
+            turned = enu_from_flu(*quat) if all(map(math.isfinite, quat)) else None
+            self.pilot.orders = [order for order in self.pilot.orders if not isinstance(order, ExternalPose)]
+            self.pilot.orders.append(ExternalPose((east, north, -down), turned))
 
     def _obey(self, name: str, values: StructuredArray, now_ns: int) -> None:
         if name == "HEARTBEAT":

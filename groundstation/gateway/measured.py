@@ -124,3 +124,8 @@ class Supervisor:
         if not (self.can_fly or self.can_be_armed):
             return "cannot fly, by its own report; let it stand still, see to its battery and self-test"
         return None
+
+
+def enu_from_flu(w: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Attitude x y z w that takes FLU to ENU, as the firmware has it, of one that takes FRD to NED."""
+    return _HALF * (x + y), _HALF * (x - y), _HALF * (w - z), _HALF * (w + z)

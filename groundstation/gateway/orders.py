@@ -83,4 +83,19 @@ class SetParam:
     value: float
 
 
-Order = Velocity | SetpointsStop | TakeOff | LandAt | GoTo | HighLevelStop | Arm | EmergencyStop | SetParam
+@dataclass(frozen=True)
+class ExternalPose:
+    """Where it is and how it lies, as somebody outside sees it.
+
+    Attributes:
+        pos_enu_m: in the room's frame.
+        quat_enu_from_flu: x y z w, as the firmware has it; None where only the place is known.
+    """
+
+    pos_enu_m: Place
+    quat_enu_from_flu: tuple[float, float, float, float] | None
+
+
+Order = (
+    ExternalPose | Velocity | SetpointsStop | TakeOff | LandAt | GoTo | HighLevelStop | Arm | EmergencyStop | SetParam
+)

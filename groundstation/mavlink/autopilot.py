@@ -50,6 +50,8 @@ class Autopilot(ABC):
     """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
     chatter: tuple[str, ...] = ()
     """Streams that it may send unasked and that nobody here needs; stopped on narrow links."""
+    behind_a_gateway = False
+    """Whether it speaks no MAVLink itself."""
     params_bytewise = False
     """Whether integer parameters lie in the bytes of the float that they travel in; else they are cast to it."""
     estimator_message: str

@@ -19,6 +19,7 @@ from groundstation.mavlink.autopilot import FRAME_LOCAL_NED, MASK_VELOCITY_AND_Y
 from groundstation.mavlink.blocks import Block, merge
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, Piece, blank, encode_batch
 from groundstation.mavlink.commands import CommandQueue
+from groundstation.mavlink.mocap_frames import own_pose, packed_poses
 from groundstation.mavlink.params import ParamDesk, ParamQuestion
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame, received_frames
 
@@ -27,6 +28,7 @@ GROUND_STATION_COMPID = 190  # MAV_COMP_ID_MISSIONPLANNER, what ground stations 
 _HEARTBEAT_NS = 1_000_000_000
 _TYPE_GCS, _AUTOPILOT_INVALID, _STATE_ACTIVE, _MAVLINK_VERSION = 6, 8, 4, 3
 _TIMESYNC_EAGER_NS, _TIMESYNC_NS = 200_000_000, 2_000_000_000
+_POSE_ERROR_M = 0.005  # of one axis, for the vehicles' estimators
 _TIMESYNC_ENOUGH = 10  # round trips after which there is no hurry
 
 
@@ -56,12 +58,20 @@ class Station:
         fleet: state to be kept up to date.
         start_ns: time that goes out as "since boot", taken as zero.
         greeted: (link, peer) of those that wait to be spoken to; they get heartbeats until somebody is heard there.
+        behind_a_gateway: rows of vehicles whose poses are told to a gateway, of all behind it together.
 
     Attributes:
         bytes_received: by link, whoever sent them.
     """
 
-    def __init__(self, fleet: Fleet, start_ns: int, *, greeted: Sequence[tuple[int, str]] = ()) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        start_ns: int,
+        *,
+        greeted: Sequence[tuple[int, str]] = (),
+        behind_a_gateway: Sequence[int] = (),
+    ) -> None:
         self.fleet = fleet
         self.commands = CommandQueue(len(fleet))
         self.parameters = ParamDesk(len(fleet))
@@ -74,6 +84,8 @@ class Station:
         self._next_timesync_ns = self._last_timesync_ns = start_ns
         self._greeted = tuple(greeted)
         self._extra: list[tuple[int, bytes]] = []
+        self._behind_a_gateway = frozenset(behind_a_gateway)
+        self._posed_ns = fleet.pose_ns.copy()
 
     def receive(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes one datagram; nothing is acted upon before ``ingest``.
@@ -153,6 +165,8 @@ class Station:
         rows = streaming.nonzero()[0]
         for row, raw in zip(rows, self._setpoints(now_ns, vel_ned_m_s, yaw_ned_rad, rows), strict=True):
             frames[row].append(raw)
+        for vehicle, raw in self._own_poses():
+            frames[vehicle].append(raw)
         for request in fleet.take_timesync_requests():
             frames[request.vehicle].append(self._encoder.encode("TIMESYNC", tc1=request.t_rx_ns, ts1=request.ts1_ns))
         for sending in self.commands.due(now_ns):
@@ -186,6 +200,37 @@ class Station:
             if peer_or_none is not None and frames[vehicle]:
                 outgoing.append(Outgoing(int(fleet.link[vehicle]), peer_or_none, tuple(frames[vehicle])))
         return outgoing
+
+    def transmit_poses(self) -> list[Outgoing]:
+        """Only what vehicles are told of their own places, where they come from a motion capture system."""
+        fleet = self.fleet
+        return [
+            Outgoing(int(fleet.link[row]), peer, (raw,))
+            for row, raw in self._own_poses()
+            if (peer := fleet.peer[row]) is not None
+        ]
+
+    def _own_poses(self) -> list[tuple[int, bytes]]:
+        """Newest place of each vehicle that a motion capture system sees, once each."""
+        room = self.fleet.room
+        if room is None:
+            return []
+        rows = (room.measured_ns > self._posed_ns).nonzero()[0].tolist()
+        self._posed_ns = room.measured_ns.copy()
+        told: list[tuple[int, bytes]] = []
+        behind: dict[tuple[int, str], list[int]] = {}
+        for row in rows:
+            peer = self.fleet.peer[row]
+            if peer is None:
+                continue
+            if row in self._behind_a_gateway:
+                behind.setdefault((int(self.fleet.link[row]), peer), []).append(row)
+            elif every(np.isfinite(room.quat_ned_from_frd[row])):  # their estimators take no place without a heading
+                fields = own_pose(room, row, _POSE_ERROR_M)
+                told.append((row, self._encoder.encode("VISION_POSITION_ESTIMATE", **fields)))
+        for several in behind.values():
+            told += [(several[0], self._encoder.encode("TUNNEL", **fields)) for fields in packed_poses(room, several)]
+        return told
 
     def _question(self, question: ParamQuestion) -> bytes:
         target = {

@@ -25,10 +25,13 @@ from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.clocks import BootTimes, Clocks
 from groundstation.mavlink.codec import Batch, Frame, columns, decode, layout, message_id, message_name
 from groundstation.mavlink.kinds import TYPE_GCS, Kind, kind_of
+from groundstation.mavlink.mocap_frames import room_frames, room_words
 from groundstation.mavlink.params import ParamValue
 from groundstation.mavlink.senders import Senders
 from groundstation.mavlink.texts import Text, Texts
 from groundstation.mavlink.traffic import Traffic
+from groundstation.mocap.bodies import RoomConfig
+from groundstation.mocap.room import Room, Seen
 
 NEVER = np.iinfo(np.int64).min // 2
 """Time of something that has not happened; far enough back that every age limit is passed."""
@@ -52,6 +55,7 @@ _LANDED_FRESH_NS = 3_000_000_000  # so long a landed state speaks against a hear
 _TWO_PLACES_M = 1.0
 _STILL_M_S = 0.25  # whoever comes down is faster
 _FRESH_NS = 500_000_000
+_OWN_VELOCITY_NS = 300_000_000
 COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "ATTITUDE")
 """Message types whose rate is looked after."""
 
@@ -158,9 +162,12 @@ class Fleet:
             shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
         watch: looks on at what is let in, so that whoever reads a log counts what the flight counted; None for nobody.
+        room: follows the bodies of a motion capture system, whose positions then count in place of the vehicles' own;
+            None without.
+        watch_room: the same as ``watch`` for those; None for nobody.
     """
 
-    def __init__(self, sysids: Sequence[int], links: Sequence[int]) -> None:
+    def __init__(self, sysids: Sequence[int], links: Sequence[int], room: RoomConfig | None = None) -> None:
         n = len(sysids)
         self.sysid: IntArray = np.array(sysids, dtype=np.int64)
         self.link: IntArray = np.array(links, dtype=np.int64)
@@ -207,6 +214,9 @@ class Fleet:
         self.traffic = Traffic()
         self.counts: Counter[str] = Counter()
         self.watch: Watch | None = None
+        self.room = None if room is None else Room(room)
+        self.watch_room: Callable[[Seen], None] | None = None
+        self._own_velocity_ns = _times(n)
         self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
         self._row_table: IntArray = np.full(256, -1, dtype=np.int64)
         self._row_table[self.sysid] = np.arange(n)
@@ -225,6 +235,7 @@ class Fleet:
         self._elsewhere: dict[tuple[int, int], int] = {}
         self._held = False
         self._signed: frozenset[int] = frozenset()
+        self._room_peer: str | None = None
 
     def __len__(self) -> int:
         """Number of vehicles, n."""
@@ -244,6 +255,8 @@ class Fleet:
         Args:
             received: anything that was well formed; from unknown systems, other components or the wrong link too.
         """
+        if self.room is not None:
+            received = self._without_the_room(self.room, received)
         accepted: list[ReceivedFrame] = []
         rows: list[int] = []
         for item in received:
@@ -277,6 +290,9 @@ class Fleet:
 
     def ingest_block(self, block: Block) -> None:
         """The same for a block of datagrams, without a step in Python for each frame as long as nothing is unusual."""
+        if self.room is not None:
+            self.ingest(received_frames(block))
+            return
         row = self._row_table[block.sysid]
         known, autopilot = block.known, block.compid == AUTOPILOT_COMPID
         right: BoolArray = known & (row >= 0) & autopilot
@@ -303,6 +319,38 @@ class Fleet:
         time_of_frame = block.datagrams.t_rx_ns[block.datagram]
         self.heard_ns[row if among is None else row[among]] = time_of_frame if among is None else time_of_frame[among]
         self._handle(block.decode(_HANDLED_IDS, among), row, time_of_frame)
+
+    def _without_the_room(self, room: Room, received: Sequence[ReceivedFrame]) -> list[ReceivedFrame]:
+        """Takes what the motion capture tells; returns the rest."""
+        link = room.config.link
+        told = [item for item in received if item.link == link]
+        if not told:
+            return list(received)
+        if self._room_peer is None or not self._held:
+            self._room_peer = told[-1].peer
+        here = [(item.frame, item.t_rx_ns) for item in told if self._same_host(self._room_peer, item.peer)]
+        self._count("motion capture: frames of a second sender", len(told) - len(here))
+        for text in room_words(here):
+            room.say(text)
+        for frame in room_frames(here, self._row_of):
+            seen = room.take(frame)
+            if seen is not None:
+                self._see(seen)
+        return [item for item in received if item.link != link]
+
+    def _see(self, seen: Seen) -> None:
+        """Takes positions of the room; velocities too, of those whose own estimate is not there or old."""
+        row = seen.row
+        self.pos_local_ned_m[row] = seen.pos_ned_m
+        self.pose_ns[row] = seen.measured_ns
+        old = seen.measured_ns - self._own_velocity_ns[row] > _OWN_VELOCITY_NS
+        self.vel_ned_m_s[row[old]] = seen.vel_ned_m_s[old]
+        if self.watch_room is not None:
+            self.watch_room(seen)
+
+    @staticmethod
+    def _same_host(known: str | None, peer: str) -> bool:
+        return known is None or known.rpartition(":")[0] == peer.rpartition(":")[0]
 
     def _heartbeats_as_ever(self, block: Block, row: IntArray) -> bool:
         """Whether all heartbeats under the vehicles' ids are of the autopilots that were heard there before."""
@@ -375,6 +423,8 @@ class Fleet:
         """
         self._held = True
         self._signed = frozenset(signed)
+        if self.room is not None:
+            self.room.hold()
 
     def _may_move(self, row: int, known: str, peer: str) -> bool:
         if not self._held or int(self.link[row]) in self._signed:
@@ -547,6 +597,9 @@ class Fleet:
         position, velocity, number = both[:, :3], both[:, 3:], finite_rows(both)
         fresh, measured_ns = self._when(self._position_times, batch, row, t_ns)
         valid: BoolArray = number & fresh
+        if self.room is not None:
+            self.vel_ned_m_s[row[valid]], self._own_velocity_ns[row[valid]] = velocity[valid], measured_ns[valid]
+            return np.zeros(len(row), dtype=np.bool_)  # of a position that does not count there is no news
         self._compare_places(both, row, t_ns, number, valid)
         if not every(valid):
             self._count("position that is not a number", int((~number).sum()))

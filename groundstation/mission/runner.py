@@ -151,6 +151,10 @@ class Runner(Told):
         for text in team.fleet.take_texts(now_ns):
             team.verdict.note("info", f"{team.name(text.vehicle)} says: {text.text}")
             team.words.said(text)
+        if (room := team.fleet.room) is not None:
+            room.look(now_ns)
+            for line in room.take_news():
+                team.verdict.note("alarm" if team.stance.flies else "info", line)
 
     def _poses(self, now_ns: int) -> Poses:
         """Where everybody is; unknown, all of it, when that cannot be worked out."""
@@ -214,7 +218,7 @@ class Runner(Told):
         """What goes out: setpoints to whom they are due, and whatever else waits."""
         team, state = self._team, self._machine.state
         if not state.speaks:
-            return []
+            return team.station.transmit_poses()  # without which they could not even come down by themselves
         due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
         # Who waits to hear us follows the first setpoint that comes through, up to a second before we know.
         still = team.board.hold | team.board.waits | ~team.roster.follows

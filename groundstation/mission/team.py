@@ -69,9 +69,10 @@ class Team:
     def __init__(self, plan: MissionPlan, start_ns: int, purpose: Purpose = Purpose.FLY) -> None:
         self.plan = plan
         self.verdict, self.words = Verdict(), Words()
-        fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle)
+        fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle, plan.room())
         greeted = [(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer]
-        self.station = Station(fleet, start_ns, greeted=greeted)
+        behind = [row for row, autopilot in enumerate(plan.autopilots) if autopilot.behind_a_gateway]
+        self.station = Station(fleet, start_ns, greeted=greeted, behind_a_gateway=behind)
         self.frame = TeamFrame(plan)
         self.preflight = Preflight(plan, self.station, self.frame, look_only=purpose.only_looks)
         self.roster = enlist(plan, untaken=purpose.in_the_air)

@@ -16,6 +16,8 @@ from groundstation.core.quick import norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.codec import Batch, columns
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
+from groundstation.mocap.bodies import RoomConfig, room_config
+from groundstation.mocap.room import Seen
 from groundstation.records.manifest import Values
 from groundstation.records.notes import PHASE_PREFIX, Event, Received
 
@@ -88,6 +90,7 @@ class Admission:
         signed: links on which everything is signed.
         components: of vehicles whose autopilot has another component id than flights ask for, in logs of others.
         velocity_needed: whether a position without a velocity is none, as in flight; False for imported flights.
+        room: of motion capture, whose positions counted in place of the vehicles' own; None without.
 
     Attributes:
         settled_ns: from when on frames have to stay where they are; None before.
@@ -105,12 +108,14 @@ class Admission:
         signed: Sequence[int] = (),
         components: Mapping[int, int] | None = None,
         velocity_needed: bool = True,
+        room: RoomConfig | None = None,
     ) -> None:
         self.settled_ns: int | None = None
         self.armed_ns: int | None = None
         self.lost_ns: dict[int, int] = {}
-        self._fleet = Fleet(sysids, [-1 if link is None else link for link in links])
-        self._fleet.watch = self._look
+        self._fleet = Fleet(sysids, [-1 if link is None else link for link in links], room)
+        self._fleet.watch, self._fleet.watch_room = self._look, self._look_into_room
+        self._room_link = None if room is None else room.link
         self._row_of = {sysid: row for row, sysid in enumerate(sysids)}
         self._unlinked = {sysid for sysid, link in zip(sysids, links, strict=True) if link is None}
         self._signed = tuple(signed)
@@ -128,6 +133,9 @@ class Admission:
     def take(self, record: Received) -> None:
         """Takes a frame that arrived; frames in the order of the log."""
         frame = record.frame
+        if record.link == self._room_link:
+            self._wait(ReceivedFrame(frame, record.link, record.peer, record.t_ns))
+            return
         if frame.sysid not in self._row_of:
             return
         own = self._components.get(frame.sysid, AUTOPILOT_COMPID)
@@ -138,7 +146,10 @@ class Admission:
         if frame.sysid in self._unlinked and frame.compid == AUTOPILOT_COMPID:
             self._unlinked.discard(frame.sysid)
             self._fleet.link[self._row_of[frame.sysid]] = record.link
-        self._waiting.append(ReceivedFrame(frame, record.link, record.peer, record.t_ns))
+        self._wait(ReceivedFrame(frame, record.link, record.peer, record.t_ns))
+
+    def _wait(self, item: ReceivedFrame) -> None:
+        self._waiting.append(item)
         if len(self._waiting) >= _CHUNK:
             self._ingest()
 
@@ -216,6 +227,12 @@ class Admission:
             for row, t, item in zip(vehicle[news].tolist(), t_ns[news].tolist(), values[news], strict=True):
                 self._look_at_origin(row, t, (int(item["latitude"]), int(item["longitude"]), int(item["altitude"])))
 
+    def _look_into_room(self, seen: Seen) -> None:
+        k = len(seen.row)
+        t_ns = np.full(k, seen.t_rx_ns, dtype=np.int64)
+        boot_ms = np.full(k, max(0, seen.measured_ns) // 1_000_000, dtype=np.int64)
+        self._local.append(Reports(t_ns, seen.row, boot_ms, seen.pos_ned_m, seen.vel_ned_m_s))
+
     def _look_for_restarts(self, batch: Batch, vehicle: IntArray, t_ns: IntArray) -> None:
         restarted = np.flatnonzero(self._fleet.restarts > self._restarts)
         self._restarts = self._fleet.restarts.copy()
@@ -263,6 +280,7 @@ def of_mission(mission: Values) -> Admission:
         [None if url is None else numbers[url] for url in urls],
         signed=signed,
         velocity_needed="source" not in mission,
+        room=room_config(mission, None, len(numbers)),
     )
 
 

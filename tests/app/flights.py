@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from groundstation.app.emulator import TruthMeter, world_config
-from groundstation.app.gateway.emulated import GatewayWorld
 from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.mocap.emulated import emulated_team
+from groundstation.app.mocap.fake import FakeConfig
 from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.resources import packaged_configs
 from groundstation.app.session import Session
@@ -55,6 +56,7 @@ class Flight:
         prepare: Callable[[World], None] | None = None,
         take_over: bool = False,
         chatter: bool = False,
+        room: FakeConfig | None = None,
     ) -> None:
         self.plan = plan
         self.take_over = take_over
@@ -63,7 +65,7 @@ class Flight:
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self._gateway = GatewayWorld(self.world)
+        self._gateway = emulated_team(plan, self.world, seed, room)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []

@@ -78,7 +78,7 @@ def test_eight_fly_the_lab_cube_by_unmodified_cflib_and_the_log_replays(
         gateway(8, first, port, tmp_path),
     ):
         # A machine with other work answers late: that is reckoned with, as on a slow link.
-        slow = ["--set", "link_delay_s=0.15", "--set", "limits.pose_age_s=1"]
+        slow = ["--set", "positioning=mocap", "--set", "link_delay_s=0.15", "--set", "limits.pose_age_s=1"]
         words = ["fly", "--mission", "lab_cube8", "--log", str(log), "--set", "steps.1.hold.seconds=1", *slow, *links]
         code, out, err = gs(words, monkeypatch, capsys)
     assert code == 0, (out, err)

@@ -22,8 +22,8 @@ from groundstation.app.campaign.kinematic import kinematic_time_to_form_s
 from groundstation.app.campaign.plot import Plot
 from groundstation.app.campaign.words import NOTHING_FOUND, TOUCHDOWN_MAX_M_S, Witness
 from groundstation.app.emulator import TruthMeter, world_config
-from groundstation.app.gateway.emulated import GatewayWorld
 from groundstation.app.loop import Interrupts, fly_virtual
+from groundstation.app.mocap.emulated import emulated_team
 from groundstation.app.opening import LogPlan, open_flight
 from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
@@ -172,7 +172,7 @@ class _Flown:
             try:
                 fly_virtual(
                     flight.session,
-                    GatewayWorld(self._world),
+                    emulated_team(plan, self._world, case.seed),
                     period_ns=round(SECOND_NS / plan.spec.rate_hz),
                     watchers=(self._watch, meter),
                     interrupts=self._interrupts,

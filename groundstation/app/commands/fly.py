@@ -124,6 +124,7 @@ def check(
     from groundstation.app.fence_giving import give_fence
     from groundstation.app.flying import dated_path, judged, period_ns, refusal, refused_frames, with_fix
     from groundstation.app.loop import FlightClock, Interrupts, fly_real
+    from groundstation.app.mocap.process import reading
     from groundstation.app.opening import open_flight
     from groundstation.app.param_keeping import BeforeKeeper, before_path, offer_back
     from groundstation.app.progress import FlightDisplay, link_troubles
@@ -141,6 +142,7 @@ def check(
     keeper = BeforeKeeper(before_path(dated_path(plan)))
     with ExitStack() as stack:
         purpose = Purpose.PREPARE if fix else Purpose.LOOK
+        stack.enter_context(reading(plan))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
         display = stack.enter_context(FlightDisplay(out.console, plan, flight.links))
         stack.enter_context(interrupts.listening())

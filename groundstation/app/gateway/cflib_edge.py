@@ -1,8 +1,8 @@
 """Crazyflies by cflib: its threads put what they hear into an inbox, a thread for each vehicle sends what it is told.
 
 A radio takes one packet at a time and may make whoever sends wait: so no vehicle's sending holds up another's, and of
-velocities only the newest waits. Refuses to decide anything. Of cflib's ``close_link`` it makes no use in the air: that
-sends a setpoint with which motors stop.
+velocities and poses only the newest waits. Refuses to decide anything. Of cflib's ``close_link`` it makes no use in the
+air: that sends a setpoint with which motors stop.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from groundstation.gateway.orders import (
     VALID_MS,
     Arm,
     EmergencyStop,
+    ExternalPose,
     GoTo,
     HighLevelStop,
     LandAt,
@@ -116,6 +117,7 @@ class CflibVehicle:
         self._cf: Crazyflie | None = None
         self._orders: deque[tuple[float, Order]] = deque()
         self._velocity: tuple[float, Velocity] | None = None
+        self._pose: tuple[float, ExternalPose] | None = None
         self._news = threading.Condition()
         self._ends = False
         threading.Thread(target=self._send_all, name=f"sends to {uri}", daemon=True).start()
@@ -130,6 +132,8 @@ class CflibVehicle:
         with self._news:
             if isinstance(order, Velocity):
                 self._velocity = now_s, order
+            elif isinstance(order, ExternalPose):
+                self._pose = now_s, order
             elif isinstance(order, EmergencyStop):
                 self._velocity = None
                 self._orders.appendleft((now_s, order))
@@ -202,17 +206,20 @@ class CflibVehicle:
     def _send_all(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._ends or self._orders or self._velocity is not None)
+                self._news.wait_for(lambda: self._ends or self._orders or self._velocity or self._pose)
                 if self._ends:
                     return
                 if self._orders:
                     asked_s, order = self._orders.popleft()
-                else:
-                    assert self._velocity is not None  # noqa: S101 - by the condition
+                elif self._velocity is not None:
                     asked_s, order = self._velocity
                     self._velocity = None
+                else:
+                    assert self._pose is not None  # noqa: S101 - by the condition
+                    asked_s, order = self._pose
+                    self._pose = None
             cf = self._cf
-            moves = isinstance(order, Velocity | TakeOff | GoTo)
+            moves = isinstance(order, Velocity | ExternalPose | TakeOff | GoTo)
             if cf is None or (moves and time.monotonic() - asked_s > _OLD_S):
                 continue  # somebody may have gone near in the meantime
             try:
@@ -239,6 +246,10 @@ def send(cf: Crazyflie, order: Order) -> None:
             high.stop()
         case Arm(arm):
             cf.supervisor.send_arming_request(arm)
+        case ExternalPose((x, y, z), None):
+            cf.extpos.send_extpos(x, y, z)
+        case ExternalPose((x, y, z), (qx, qy, qz, qw)):
+            cf.extpos.send_extpose(x, y, z, qx, qy, qz, qw)
         case EmergencyStop():
             cf.supervisor.send_emergency_stop()
         case SetParam(name, value):

@@ -16,6 +16,7 @@ from groundstation.gateway.orders import (
     VALID_MS,
     Arm,
     EmergencyStop,
+    ExternalPose,
     GoTo,
     HighLevelStop,
     LandAt,
@@ -31,7 +32,8 @@ from sitl.world import Outgoing, World
 
 BEHIND_A_GATEWAY = frozenset({"crazyflie"})
 """Personalities that speak no MAVLink."""
-_PARAM, _LOG, _GENERIC, _HIGH_LEVEL, _SUPERVISOR = 2, 5, 7, 8, 9
+_PARAM, _LOG, _LOCALISATION, _GENERIC, _HIGH_LEVEL, _SUPERVISOR = 2, 5, 6, 7, 8, 9
+_POSE = 8
 _VELOCITY, _STOP, _TAKE_OFF, _LAND, _GO_TO = 8, 3, 7, 8, 12
 _LOG_RESET, _LOG_CREATE, _LOG_START = 5, 6, 3
 _POSE_BLOCK, _STATUS_BLOCK = 0, 1
@@ -79,6 +81,10 @@ def packet_of(order: Order, numbers: Mapping[str, tuple[int, int]]) -> bytes | N
             return packet(_SUPERVISOR, 1, struct.pack("<B?", 1, arm))
         case EmergencyStop():
             return packet(_SUPERVISOR, 1, b"\x03")
+        case ExternalPose(place, quat):
+            if quat is None:
+                return packet(_LOCALISATION, 0, struct.pack("<fff", *place))
+            return packet(_LOCALISATION, 1, struct.pack("<Bfffffff", _POSE, *place, *quat))
         case SetParam(name, value):
             if name not in numbers:
                 return None

@@ -30,6 +30,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "gs gateway crazyflie -v 1=udp://127.0.0.1:19850 -v 2=udp://127.0.0.1:19851",
         "gs gateway crazyflie -v 1=radio://0/80/2M/E7E7E7E701 -v 2=radio://0/80/2M/E7E7E7E702 --budget",
     ),
+    "mocap": (
+        "gs mocap read --mission mine/mission.yaml --system vicon --host 192.168.1.10",
+        "gs mocap fake --mission lab_cube8 --fault occlude:30:33:3",
+    ),
     "sitl-env": ("gs sitl-env px4_cube8",),
     "replay": ("gs replay flights/cube8-seed0 --verify",),
     "report": ("gs report flights/cube8-seed0 -o report --also svg",),

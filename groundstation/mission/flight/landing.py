@@ -197,8 +197,12 @@ class Landing:
             led=around.led & ~sinks,
             wanted=roster.lands & ~down,
             coming=around.coming & roster.ours,
-            hurries=np.asarray(fleet.battery_remaining < _HURRY * self._plan.limits.battery_land),
+            hurries=np.asarray(fleet.battery_remaining < _HURRY * self._plan.limits.battery_land) | self._in_the_dark(),
         )
+
+    def _in_the_dark(self) -> bool:
+        """Whether the motion capture is gone for everybody: whoever waits in the air then drifts, each its own way."""
+        return self._fleet.room is not None and self._fleet.room.gone
 
     def disarm_on_the_ground(self, now_ns: int) -> None:
         """Tells everybody who stands to disarm, armed or not; for an arming that is broken off before takeoff.

@@ -172,6 +172,7 @@ class Preflight:
             self.checks.ask(vehicle, now_ns)
             problem = (
                 self._deaf(vehicle, now_ns)
+                or (None if fleet.room is None else fleet.room.words(vehicle, now_ns))
                 or self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
                 or self._readiness(vehicle, now_ns, said)
                 or self._clock(vehicle, now_ns, state)

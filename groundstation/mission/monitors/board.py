@@ -21,7 +21,7 @@ from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.losses import Losses
-from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, Tilt
+from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, RoomSilence, Tilt
 from groundstation.mission.monitors.restarts import Restarts
 from groundstation.mission.monitors.resting import Resting
 from groundstation.mission.monitors.sinking import Sinking
@@ -66,9 +66,9 @@ class Board:
         self._contradictions, self._touchdowns = Contradictions(plan), Touchdowns(plan)
         self._traffic = TrafficNear(plan)
         self._monitors: tuple[Monitor, ...] = (
-            self.resting, self._jumps, LinkSilence(plan), self._ages, Frozen(plan), Heartbeats(plan), Battery(plan),
-            BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind, self._following,
-            Distance(plan), Descents(plan, self.wind, self.speeds), Restarts(plan), self._touchdowns,
+            self.resting, self._jumps, LinkSilence(plan), RoomSilence(plan), self._ages, Frozen(plan), Heartbeats(plan),
+            Battery(plan), BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind,
+            self._following, Distance(plan), Descents(plan, self.wind, self.speeds), Restarts(plan), self._touchdowns,
             self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions, self._traffic,
         )  # fmt: skip
         self._losses = Losses(plan)

@@ -185,6 +185,25 @@ class LinkSilence:
             yield Finding(Reaction.LAND, what, rows, lost=True, unheard=True)
 
 
+class RoomSilence:
+    """A motion capture system of which nothing comes any more: nobody knows where it is, and everybody drifts."""
+
+    def __init__(self, plan: LinkPlan) -> None:
+        self._limit_s = plan.spec.limits.pose_age_s
+        self._lasting = Lasting(1, again=True)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Brings down who has nothing else to go by, all at once."""
+        room = sight.fleet.room
+        if room is None:
+            return
+        old = sight.now_ns - sight.pose_ns > self._limit_s * SECOND_NS
+        if self._lasting(np.array([room.gone and every(old[ours])]), sight.now_ns):
+            rows = tuple((ours & ~sight.excused).nonzero()[0].tolist())
+            what = f"motion capture: nothing of anybody for {self._limit_s:g} s"
+            yield Finding(Reaction.LAND, what, rows, lost=True)
+
+
 class PoseAge:
     """Poses that are too old to steer by, and poses that are lost."""
 

@@ -17,7 +17,7 @@ from groundstation.core.wind import Airframe
 from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.limits import resolve_limits
-from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links, read_forward
+from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links, read_forward, room_link
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW, CodeSource
 from groundstation.mission.plan.plan import MissionPlan, region_of
 from groundstation.mission.plan.positioning import (
@@ -88,7 +88,8 @@ def build_plan(
     check_signing(spec, addresses, source)
     rates = fit_links(spec, addresses, source)
     gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
-    positioning = spec.positioning or ("gps" if gps else "mocap")
+    room_at = room_link(spec, addresses, source)
+    positioning = "mocap" if room_at is not None else str(spec.positioning or ("gps" if gps else "mocap"))
     if spec.traffic is not None and not gps:
         raise UserError(
             f"{source}: traffic: places of aircraft are on earth, and no vehicle's are: give one `origin: gps` or"
@@ -158,6 +159,7 @@ def build_plan(
         link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
         rates=rates,
         forward=read_forward(spec, addresses, source),
+        room_link=room_at,
         positioning=positioning,
         margin_m=margin_m(position_error_m),
         wind=wind,

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from groundstation.core.errors import UserError
 from groundstation.mavlink.addresses import LinkAddress, parse_address
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
+from groundstation.mission.plan.positioning_spec import PositioningSpec
 from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mocap.bodies import LINK, RoomConfig, room_config
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
 POSE_HZ = 50.0
@@ -26,6 +28,7 @@ class LinkPlan:
         link_of_vehicle: index into ``links`` per vehicle.
         rates: of each link.
         forward: where another ground station watches along; None for nowhere.
+        room_link: by which frames of a motion capture system come in; None for none.
     """
 
     spec: MissionSpec
@@ -34,6 +37,12 @@ class LinkPlan:
     link_of_vehicle: tuple[int, ...]
     rates: tuple[LinkRates, ...]
     forward: LinkAddress | None
+    room_link: LinkAddress | None
+
+    @property
+    def all_links(self) -> tuple[str, ...]:
+        """The vehicles' links, and the room's after them."""
+        return (*self.links, *(() if self.room_link is None else (self.room_link.url,)))
 
     @property
     def size(self) -> int:
@@ -44,6 +53,12 @@ class LinkPlan:
     def stream_links(self) -> tuple[int, ...]:
         """Links on which a frame may arrive in two pieces."""
         return tuple(number for number, address in enumerate(self.addresses) if address.is_stream)
+
+    def room(self) -> RoomConfig | None:
+        """Whom to look for in the frames of a motion capture system; None where the mission has none."""
+        if self.room_link is None:
+            return None
+        return room_config(self.spec.model_dump(mode="json"), self.room_link.url, len(self.links))
 
     def rates_of(self, vehicle: int) -> LinkRates:
         """Rates of a vehicle."""
@@ -101,6 +116,36 @@ def read_forward(spec: MissionSpec, addresses: Sequence[LinkAddress], source: st
                 f"{source}: forward: {spec.forward}: port {address.port} is that of the vehicles' link {other.url}, and"
                 " what they tell would come back to it; name another port, at which the other ground station listens"
             )
+    return address
+
+
+def room_link(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> LinkAddress | None:
+    """By which link frames of a motion capture system come in; None where the mission has none.
+
+    Raises:
+        UserError: no link to listen on, one of the vehicles', or vehicles whose positions do not count from the room's
+            origin.
+    """
+    given = spec.positioning
+    if not isinstance(given, PositioningSpec):
+        return None
+    address = parse_address(given.link)
+    if address.kind != "udpin" or address.through_mavsdk:
+        raise UserError(f"{source}: positioning.link: {given.link}: expected udpin://HOST:PORT, as {LINK}")
+    if any(other.kind == "udpin" and other.port == address.port for other in addresses):
+        raise UserError(
+            f"{source}: positioning.link: {given.link}: port {address.port} is that of the vehicles; name another one"
+        )
+    for number, vehicle in enumerate(spec.vehicles):
+        if vehicle.origin != "team" or vehicle.position != "local":
+            raise UserError(
+                f"{source}: vehicles[{number}].origin: {vehicle.origin}: with positioning from motion capture everybody"
+                " counts from the room's origin; write origin: team, and no position: global"
+            )
+    names = [vehicle.body_name for vehicle in spec.vehicles]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None and given.bodies == "name":
+        raise UserError(f"{source}: vehicles[].body: {twice} stands twice; every vehicle's body has a name of its own")
     return address
 
 

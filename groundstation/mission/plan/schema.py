@@ -25,6 +25,7 @@ from pydantic_core import CoreSchema
 from groundstation.core.findings import no_boolean
 from groundstation.mission.plan.fields import NotNegative, Number, Point, Positive
 from groundstation.mission.plan.obstacle_spec import ObstacleSpec, TrafficSpec
+from groundstation.mission.plan.positioning_spec import PositioningSpec
 from groundstation.mission.plan.sensing_spec import SensingSpec
 
 _COMES_TO_REST_S = 2.0
@@ -414,6 +415,12 @@ class VehicleSpec(_Strict):
     origin_m: Point | None = None
     position: Literal["local", "global"] = "local"
     endurance_s: Positive | None = None
+    body: Annotated[str, Field(min_length=1, max_length=80)] | None = None
+
+    @property
+    def body_name(self) -> str:
+        """Name of its body in the motion capture system."""
+        return self.body or f"cf{self.id}"
 
     @model_validator(mode="after")
     def _declared(self) -> VehicleSpec:
@@ -480,7 +487,7 @@ class _CourseKeys(_FormationKeys):
 class MissionSpec(_CourseKeys):
     """The whole file."""
 
-    positioning: Literal["mocap", "rtk", "gps"] | None = None
+    positioning: Literal["mocap", "rtk", "gps"] | PositioningSpec | None = None
     position_error_m: Positive | None = None
     anchor: AnchorSpec | None = None
     set_gps_origin: bool = False

@@ -21,6 +21,7 @@ class Crazyflie(Autopilot):
     """Numbers of modes are the gateway's, versions are those of CRTP: 9 turns yaw rates the way they are meant."""
 
     name = "crazyflie"
+    behind_a_gateway = True
     mav_autopilot = 0  # MAV_AUTOPILOT_GENERIC
     profile = "crazyflie"
     estimator_message = "ESTIMATOR_STATUS"
