@@ -5,6 +5,7 @@ Refuses to fly missions: it only answers, as the autopilots do.
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from groundstation.core.extras import need
 from groundstation.mavlink.keys import read_key
 from sitl.faults import Fault, load_faults
 from sitl.fleet import fleet
+from sitl.own_frame import OwnFrameConfig
 from sitl.personalities import NOISES, PERSONALITIES, PROFILES, RATES_HZ
 from sitl.server import Server
 from sitl.world import WindConfig, WorldConfig
@@ -47,6 +49,8 @@ class SitlOptions:
     wind: float
     gusts: float
     downwash: bool
+    heading_error_deg: float
+    level_error_deg: float
     speed: float
     tcp_port: int | None
     mavlink: int
@@ -71,6 +75,13 @@ def where(options: SitlOptions) -> str:
     return words if options.tcp_port is None else f"{words}, tcp {options.tcp_port} and up by 10"
 
 
+def _own_frames(options: SitlOptions) -> OwnFrameConfig | None:
+    """How far the vehicles' own north and level are off; None where they are right."""
+    if not options.heading_error_deg and not options.level_error_deg:
+        return None
+    return OwnFrameConfig(math.radians(options.heading_error_deg), math.radians(options.level_error_deg))
+
+
 def open_server(options: SitlOptions) -> Server:
     """Checks the options and opens the sockets."""
     for name, value, allowed in (
@@ -88,6 +99,8 @@ def open_server(options: SitlOptions) -> Server:
         ("--spacing", options.spacing_m, 0.0, 1000.0),
         ("--wind", options.wind, -30.0, 30.0),
         ("--gusts", options.gusts, 0.0, 15.0),
+        ("--heading-error", options.heading_error_deg, 0.0, 180.0),
+        ("--level-error", options.level_error_deg, 0.0, 180.0),
         ("--speed", options.speed, 0.01, 50.0),
         ("--seed", options.seed, 0, 2**63),
     ):
@@ -123,6 +136,7 @@ def open_server(options: SitlOptions) -> Server:
             faults=timetable,
             wind=WindConfig((options.wind, 0.0, 0.0), options.gusts) if options.wind or options.gusts else None,
             downwash=options.downwash,
+            own_frames=_own_frames(options),
         )
         return Server(
             config,

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from groundstation.app.campaign.cases import Case, Cases
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.vary import load_vary
 from groundstation.app.resources import packaged_configs
+from groundstation.app.serving import SitlOptions, open_server
+from groundstation.core.errors import UserError
 
 CUBE8 = packaged_configs() / "missions" / "cube8.yaml"
 FOUR = """
@@ -78,3 +82,19 @@ def test_a_team_that_senses_nobody_does_not_form_says_so_and_keeps_r(tmp_path: P
     assert row["told"]
     assert row["log_mismatches"] == (0 if read else -1)
     assert "not formed" in row["reason"]
+
+
+def _served(heading_deg: float, level_deg: float) -> SitlOptions:
+    return SitlOptions(
+        3, "px4", 0, 1, None, False, False, None, "none", "quiet", True, 1.0, 0.0, 0.0, False, heading_deg, level_deg,
+        1.0, None, 2, False, None,
+    )  # fmt: skip
+
+
+def test_the_emulator_on_sockets_has_wrong_frames_too_and_refuses_angles_that_are_none() -> None:
+    with open_server(replace(_served(20.0, 3.0), port=14999)) as server:
+        own = server.world.state.own_frames
+        assert own is not None
+        assert np.degrees(np.abs(own.heading_rad)) == pytest.approx([20.0] * 3)
+    with pytest.raises(UserError, match=r"--level-error: 181.0 is out of range, limits 0.0 and 180.0"):
+        open_server(_served(0.0, 181.0))

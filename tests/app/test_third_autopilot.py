@@ -73,8 +73,8 @@ def test_the_desk_serves_it_and_says_what_it_does_not_know_of_it(
     with pytest.raises(UserError, match=r"vehicles\[0\]\.autopilot: toycopter: how its own simulator is started"):
         lines(mission("first_flight2", "vehicles.0.autopilot=toycopter"), HOME)
     options = SitlOptions(
-        1, "toycopter", 14540, 1, None, False, False, None, "none", "toy", True, 1.0, 0.0, 0.0, False, 1.0, None, 2,
-        False, None,
+        1, "toycopter", 14540, 1, None, False, False, None, "none", "toy", True, 1.0, 0.0, 0.0, False, 0.0, 0.0, 1.0,
+        None, 2, False, None,
     )  # fmt: skip
     with open_server(options) as server:
         assert [pilot.mode_name() for pilot in server.world.autopilots] == ["STAND"]

@@ -1,4 +1,4 @@
-"""The figures of docs/law.md, drawn from the program's own law, avoidance and gains."""
+"""The figures of docs/law.md, drawn from the program's own law, avoidance and gains; and those of other pages."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from groundstation.core.types import FloatArray
 from groundstation.core.views import LocalViews
 from groundstation.design.designer import design
 from groundstation.design.store import load_formation
+from tests.docs.robustness import pictures
 
 _STEP_S = 0.01
 _SPEED_M_S = 1.0
@@ -174,6 +175,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "law-fixed-scale.svg": fixed_scale,
     "law-half-space.svg": half_space,
     "law-around.svg": around,
+    "robustness.svg": pictures,
 }
 """File in docs/img: what draws it."""
 

@@ -36,7 +36,8 @@ def test_the_site_builds_and_a_link_that_leads_nowhere_stops_it(
 
 
 def test_every_figure_that_is_drawn_is_shown_and_the_other_way_round() -> None:
-    shown = set(re.findall(r"\(img/(law-[\w-]+\.svg)\)", (site.ROOT / "docs/law.md").read_text(encoding="utf-8")))
+    pages = "".join((site.ROOT / "docs" / page).read_text(encoding="utf-8") for page in ("law.md", "robustness.md"))
+    shown = set(re.findall(r"\(img/([\w-]+\.svg)\)", pages))
     assert shown == set(FIGURES)
     assert all((site.ROOT / "docs/img" / name).stat().st_size < 100_000 for name in FIGURES)
 

@@ -63,6 +63,12 @@ def sitl(
     wind: Annotated[float, typer.Option(help="Mean wind towards the east, m/s.")] = 0.0,
     gusts: Annotated[float, typer.Option(help="Standard deviation of the gusts, m/s.")] = 0.0,
     downwash: Annotated[bool, typer.Option("--downwash", help="Rotors push on whoever flies below.")] = False,
+    heading_error: Annotated[
+        float, typer.Option(help="Degrees by which each vehicle's own north is off, to a side that is drawn.")
+    ] = 0.0,
+    level_error: Annotated[
+        float, typer.Option(help="Degrees by which each vehicle's own level is off, about an axis that is drawn.")
+    ] = 0.0,
     speed: Annotated[float, typer.Option(help="How many times faster than real time.")] = 1.0,
     tcp_port: Annotated[
         int | None, typer.Option("--tcp", help="Vehicle i also listens for TCP on this port + 10 (i - 1).")
@@ -81,7 +87,7 @@ def sitl(
 
     options = SitlOptions(
         vehicles, autopilot, port, seed, faults, orders, port_per_vehicle, profile, noise, streams, gps, spacing_m,
-        wind, gusts, downwash, speed, tcp_port, mavlink, real_boot, signing,
+        wind, gusts, downwash, heading_error, level_error, speed, tcp_port, mavlink, real_boot, signing,
     )  # fmt: skip
     out = Output(as_json=as_json)
     stop = Event()
