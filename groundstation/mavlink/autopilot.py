@@ -50,6 +50,8 @@ class Autopilot(ABC):
     """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
     chatter: tuple[str, ...] = ()
     """Streams that it may send unasked and that nobody here needs; stopped on narrow links."""
+    needs_origin = False
+    """Whether its estimator takes no position from outside before it has an origin on earth."""
     behind_a_gateway = False
     """Whether it speaks no MAVLink itself."""
     params_bytewise = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from groundstation.app.mocap.fake import FakeConfig, RoomFault
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
-from tests.app.flights import Flight, mission
+from sitl.world import WorldConfig
+from tests.app.flights import Flight, mission, pair
 
 
 def lab(*faults: RoomFault, log: Path | None = None, changes: tuple[str, ...] = ()) -> Flight:
@@ -114,6 +116,30 @@ def test_markers_without_names_fly_the_lab_cube() -> None:
     assert str(flight.runner.outcome) == "completed", flight.runner.reason
     assert flight.world.min_distance_airborne_m >= 0.45
     assert not flight.texts("alarm")
+
+
+_SEES = {"px4": {"EKF2_EV_CTRL": 15.0}, "arducopter": {"VISO_TYPE": 1.0, "EK3_SRC1_POSXY": 6.0}}
+_EARTH = ("anchor={lat_deg: 47.4, lon_deg: 8.5, alt_m: 488.0}", "set_gps_origin=true")
+_ROOM = ("positioning={source: mocap}", "vehicles.0.origin=team", "vehicles.1.origin=team", "rate_hz=50")
+
+
+def test_px4_and_ardupilot_are_told_their_poses_and_fly_without_gps(tmp_path: Path) -> None:
+    def sees(config: WorldConfig) -> WorldConfig:
+        vehicles = [replace(v, params=(*v.params, *_SEES[v.autopilot].items())) for v in config.vehicles]
+        return replace(config, vehicles=tuple(vehicles))
+
+    flight = Flight(pair(*_ROOM, *_EARTH), change=sees, log=tmp_path / "a.tlog")
+    assert str(flight.runner.outcome) == "completed", flight.runner.reason
+    assert not any(vehicle.gps for vehicle in flight.world.config.vehicles)
+    assert flight.world.min_distance_airborne_m > 4.0
+    assert verify_log(tmp_path / "a.tlog").mismatches == 0
+
+
+def test_what_their_estimators_need_is_asked_of_the_mission() -> None:
+    with pytest.raises(UserError, match="arducopter takes no position from motion capture before it has an origin"):
+        pair(*_ROOM)
+    with pytest.raises(UserError, match="rate_hz: 20: px4 is told its pose once a tick"):
+        pair(*_ROOM[:3], *_EARTH, "rate_hz=20")
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,9 @@ def mocap(
         list[str] | None,
         typer.Option(help="With fake: KIND:FROM:UNTIL:IDS, as occlude:20:23:3 (occlude, swap, jump, freeze, gone)."),
     ] = None,
+    port: Annotated[
+        int | None, typer.Option(help="UDP port of the emulated team, with fake, as for gs sitl.", min=1, max=65535)
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of its noise, with fake.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -69,8 +72,6 @@ def mocap(
     host_of_flight = "127.0.0.1" if at.host in ("", "0.0.0.0") else at.host  # noqa: S104 - compared, not bound
     wire = Wire(host_of_flight, at.port)
     stop = Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
 
     def say(line: str) -> None:
         out.console.print(Text(line))
@@ -85,12 +86,14 @@ def mocap(
         say(f"plays {log} to udp {host_of_flight}:{at.port}")
         out.result({"datagrams": play(find_log(log), wire.send, wall_clock_pace())})
         return
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
     if kind == "fake":
         from groundstation.app.mocap.serving import fake_server, read_faults
 
         if plan is None:
             raise UserError("gs mocap fake: name the mission whose team is emulated, with --mission")
-        server, room = fake_server(plan, seed, hz, noise, read_faults(fault or [], plan))
+        server, room = fake_server(plan, seed, port, hz=hz, noise_m=noise, faults=read_faults(fault or [], plan))
         with server:
             say(f"emulates the team of {plan.spec.name}, and its motion capture to udp {host_of_flight}:{at.port}")
             server.run(stop, room.status(wire.send), status_every_s=1.0 / hz)

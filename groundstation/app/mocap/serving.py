@@ -49,7 +49,7 @@ class ServedRoom:
 
 
 def fake_server(
-    plan: MissionPlan, seed: int, hz: float, noise_m: float, faults: Sequence[RoomFault]
+    plan: MissionPlan, seed: int, port: int | None, *, hz: float, noise_m: float, faults: Sequence[RoomFault]
 ) -> tuple[Server, ServedRoom]:
     """The team of a mission, on its ports, and its room.
 
@@ -58,7 +58,7 @@ def fake_server(
     """
     config = world_config(plan, seed)
     kind = PERSONALITIES[config.vehicles[0].autopilot]
-    port = kind.first_port or next((address.port for address in plan.addresses), _PORT)
+    port = port or kind.first_port or next((address.port for address in plan.addresses), _PORT)
     room = plan.room()
     names = room is None or not room.by_place
     fake = FakeRoom(

@@ -118,6 +118,7 @@ class Origins:
         """Whether a vehicle is to take the team's origin, could, has not, and is not hopeless."""
         return (
             self._plan.spec.set_gps_origin
+            and self._station.fleet.room is None
             and self._plan.autopilots[vehicle].takes_origin
             and self._given[vehicle] < _TRIES
             and not self._frame.placement.has_common_origin(self._station.fleet, vehicle)
@@ -145,9 +146,31 @@ class Origins:
             return "is given the team's origin when everybody is where the mission says"
         return "was given the team's origin, has not taken it yet"
 
+    def _place_on_earth(self, vehicle: int, now_ns: int) -> None:
+        """Gives an origin to one that flies without GPS and has none: some estimators take no position before."""
+        plan, fleet, anchor = self._plan, self._station.fleet, self._frame.placement.anchor_deg_m
+        if not plan.spec.set_gps_origin or anchor is None or plan.autopilots[vehicle].behind_a_gateway:
+            return
+        if np.isfinite(fleet.origin_deg_m[vehicle]).all() or not self._asking.due(vehicle, now_ns):
+            return
+        self._asking.asked(vehicle, now_ns)
+        self._set_origin(vehicle, anchor)
+
+    def _set_origin(self, vehicle: int, anchor_deg_m: FloatArray) -> None:
+        self._station.send(
+            vehicle,
+            "SET_GPS_GLOBAL_ORIGIN",
+            target_system=int(self._station.fleet.sysid[vehicle]),
+            latitude=round(anchor_deg_m[0] * 1e7),
+            longitude=round(anchor_deg_m[1] * 1e7),
+            altitude=round(anchor_deg_m[2] * 1e3),
+        )
+
     def ask(self, vehicle: int, now_ns: int) -> None:
         """Asks a vehicle for its origin, and gives it the team's where that is wanted and everybody was compared."""
         plan, fleet = self._plan, self._station.fleet
+        if fleet.room is not None:
+            self._place_on_earth(vehicle, now_ns)
         if not self._by_origin(vehicle):
             return
         if not self._asking.due(vehicle, now_ns) or self._station.commands.pending(vehicle):
@@ -159,14 +182,7 @@ class Origins:
         if anchor is not None and steady and told and self.wanted(vehicle) and self.compared():
             self._frame.placement.hold_anchor()
             self._given[vehicle] += 1
-            self._station.send(
-                vehicle,
-                "SET_GPS_GLOBAL_ORIGIN",
-                target_system=int(fleet.sysid[vehicle]),
-                latitude=round(anchor[0] * 1e7),
-                longitude=round(anchor[1] * 1e7),
-                altitude=round(anchor[2] * 1e3),
-            )
+            self._set_origin(vehicle, anchor)
         self._station.commands.request(vehicle, plan.autopilots[vehicle].once("GPS_GLOBAL_ORIGIN"))
         self._asks[vehicle] += 1
         untold = bool(np.isnan(fleet.origin_deg_m[vehicle]).any())

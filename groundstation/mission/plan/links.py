@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 from groundstation.core.errors import UserError
 from groundstation.mavlink.addresses import LinkAddress, parse_address
+from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan.positioning_spec import PositioningSpec
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mocap.bodies import LINK, RoomConfig, room_config
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
+_POSES_MIN_HZ = 30.0
 POSE_HZ = 50.0
 """Positions are asked for no more often than this."""
 
@@ -141,6 +143,17 @@ def room_link(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) 
             raise UserError(
                 f"{source}: vehicles[{number}].origin: {vehicle.origin}: with positioning from motion capture everybody"
                 " counts from the room's origin; write origin: team, and no position: global"
+            )
+        autopilot = AUTOPILOTS.get(vehicle.autopilot)
+        if autopilot is not None and autopilot.needs_origin and not (spec.set_gps_origin and spec.anchor):
+            raise UserError(
+                f"{source}: vehicles[{number}].autopilot: {vehicle.autopilot} takes no position from motion capture"
+                " before it has an origin on earth; write set_gps_origin: true, and an anchor"
+            )
+        if autopilot is not None and not autopilot.behind_a_gateway and spec.rate_hz < _POSES_MIN_HZ:
+            raise UserError(
+                f"{source}: rate_hz: {spec.rate_hz:g}: {vehicle.autopilot} is told its pose once a tick, and its"
+                f" estimator wants {_POSES_MIN_HZ:g} to 50 a second; write rate_hz: 50"
             )
     names = [vehicle.body_name for vehicle in spec.vehicles]
     twice = next((name for name in names if names.count(name) > 1), None)

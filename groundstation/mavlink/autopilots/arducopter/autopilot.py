@@ -16,6 +16,7 @@ class ArduCopter(Autopilot):
     """
 
     name = "arducopter"
+    needs_origin = True
     mav_autopilot = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
     profile = "arducopter"
     estimator_message = "EKF_STATUS_REPORT"
