@@ -14,6 +14,8 @@ from pydantic import BaseModel, TypeAdapter
 
 from groundstation.app.cli import COMMANDS
 from groundstation.app.commands.schema import MODELS
+from groundstation.app.completing import ORDERS
+from groundstation.app.packaged import packaged_names
 from groundstation.app.reference.examples import EXAMPLES
 from groundstation.app.reference.words import FILES, described, inside, words_of
 from tests.docs.pages import PAGES, click_commands
@@ -116,3 +118,15 @@ def test_every_command_has_an_example_that_it_takes(name: str) -> None:
         assert (program, called) == ("gs", name)
         command.make_context(name, words)  # raises on an option or a value that it does not take
     assert set(EXAMPLES) == set(COMMANDS)
+
+
+def test_every_command_mission_and_order_is_where_a_reader_looks_for_it() -> None:
+    readme, missions, operating = (
+        (_ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/missions.md", "docs/operating.md")
+    )
+    assert [name for name in COMMANDS if f"`gs {name}" not in readme and f"gs {name} " not in readme] == []
+    come_along = packaged_names("missions")
+    assert len(come_along) > 5
+    assert [name for name in come_along if f"`{name}`" not in readme] == []
+    assert [name for name in come_along if f"| `{name}.yaml` |" not in missions] == []
+    assert [name for name in ORDERS if not re.search(rf"`{name}\b|gs command {name}\b", operating)] == []
