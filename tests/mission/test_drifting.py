@@ -123,8 +123,12 @@ def test_who_stands_armed_or_has_landed_and_says_to_move_is_told_and_stays_where
     assert (finding.vehicles, finding.lost) == ((1,), True)
     assert finding.reaction is (Reaction.FAILED if landed else Reaction.LAND)
     assert "its position has moved by" in finding.what
-    remedy = "see to its position" if landed else "see to its GPS or motion capture and restart it on its pad"
-    assert finding.what.endswith(f"{'after it landed; ' if landed else 'before it took off; it stays there, '}{remedy}")
+    remedy = "see to its GPS or motion capture"
+    if landed:
+        assert finding.what.endswith("after it landed")
+        assert finding.remedy == remedy
+    else:
+        assert finding.what.endswith(f"before it took off; it stays there, {remedy} and restart it on its pad")
 
 
 # In the air

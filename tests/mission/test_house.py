@@ -435,3 +435,33 @@ def test_guidance_keeps_no_memory() -> None:
     assert len(methods) > 5
     written = [ast.unparse(t) for method in methods for node in ast.walk(method) for t in _stored(node)]
     assert [name for name in written if name.startswith("self.")] == []
+
+
+WITHOUT_REMEDY = {
+    "BeyondFence": "1: everybody comes back, and nothing is left to be done",
+    "Distance": "2: the same",
+    "Following": "1: what can be done was said when it was found",
+    "Losses": "1: good news",
+    "PoseAge": "1: it is held for a moment; what can be done is said when its position is lost",
+    "Modes": "1: its pilot has it",
+    "Battery": "1: it comes back by itself",
+    "Descents": "3: the words say it, for they are the reason of the result too",
+    "PoseJump": "1: the same",
+    "Restarts": "2: the same",
+    "Resting": "1: the same",
+    "Sinking": "2: the same",
+    "Touchdowns": "2: the same",
+}
+"""Monitors: how many of their findings name no remedy beside the words, and why."""
+
+
+def test_a_finding_says_what_a_person_can_do_or_is_named_with_its_reason() -> None:
+    found: Counter[str] = Counter()
+    for _, node in _classes(MISSION / "monitors"):
+        for call in ast.walk(node):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Finding":
+                found[node.name] += not any(keyword.arg == "remedy" for keyword in call.keywords)
+    assert len(found) > len(WITHOUT_REMEDY)
+    assert {name: count for name, count in found.items() if count} == {
+        name: int(words.partition(":")[0]) for name, words in WITHOUT_REMEDY.items()
+    }

@@ -120,7 +120,10 @@ def test_one_that_is_not_ours_is_not_judged_at_the_end(
 
 
 def test_a_killed_one_that_starts_anew_while_everybody_is_disarmed_is_not_blamed_for_it() -> None:
-    for fate, words in ((_ours, "vehicle 1: has started anew while the team was arming"), (_killed, None)):
+    for fate, words in (
+        (_ours, "vehicle 1: has started anew while the team was arming; see to its power"),
+        (_killed, None),
+    ):
         team = Team(PLAN, 0)
         arming = ArmPhase(team, Entry(LANDS_NS)).arming
         fate(team)

@@ -148,7 +148,8 @@ def test_old_poses_hold_the_vehicle_and_lost_ones_land_it() -> None:
     assert (found[0].abort, scene.monitor.hold.tolist()) == (None, [False, False, True] + 5 * [False])
     (lost,) = scene.run(0.6, ages)
     words = "vehicle 3: no position for 1 s; it lands where it is when nobody is below, the others come back"
-    assert (lost.land, lost.abort, lost.alarms) == ([2], words, [words])
+    told = f"{words}; see to its link, and to its GPS or motion capture"  # what a person can do is no part of a reason
+    assert (lost.land, lost.abort, lost.alarms) == ([2], words, [told])
     assert scene.monitor.blind[2]
     assert scene.run(3.0, ages) == []  # said once
 
@@ -231,7 +232,8 @@ def test_a_battery_that_nobody_tells_any_more_brings_its_vehicle_back(how: str) 
     scene.tick()
     assert scene.run(9.9, told) == []
     (found,) = scene.run(0.3, told)
-    assert (found.alarms, found.abort) == (["vehicle 5: its battery was last told 10 s ago, limit 10 s"], None)
+    words = "vehicle 5: its battery was last told 10 s ago, limit 10 s; see to its battery monitor and its link"
+    assert (found.alarms, found.abort) == ([words], None)
     (found,) = scene.run(20.5, told)
     assert found.home == [4]
     assert found.abort == "vehicle 5: its battery was last told 30 s ago, limit 30 s; everybody comes back"
@@ -441,7 +443,8 @@ def test_silence_and_missing_heartbeats_bring_everybody_back() -> None:
         findings = quiet.monitor.look(_sight(quiet, pose_ns))
         alarms += findings.alarms
     assert alarms == [
-        "vehicle 6: no heartbeat for 12 s, whether it is armed and follows is not known any more; everybody comes back"
+        "vehicle 6: no heartbeat for 12 s, whether it is armed and follows is not known any more; everybody comes back;"
+        " see to its link"
     ]
 
 
@@ -481,6 +484,7 @@ def test_whom_its_own_failsafe_holds_is_waited_for_and_follows_again() -> None:
         scene.fleet.custom_mode[3], scene.fleet.system_status[3] = LOITER, CRITICAL
         (told,) = scene.run(9.9)
         words = "vehicle 4: hears no setpoints, its own failsafe holds it in mode AUTO.LOITER; it is waited for, 10 s"
+        words += "; see to the link towards it"
         assert (told.alarms, told.release, told.abort) == ([words], [], None)
         assert scene.monitor.foreign[3]
         assert scene.obstacle_m()[3] > 0.0
@@ -875,7 +879,10 @@ def test_standing_still_and_a_slow_ground_station_bring_everybody_back() -> None
     slow = Scene()
     for _ in range(40):
         slow.tick(150_000_000)
-    assert slow.alarms == ["the ground station makes 7.0 ticks a second, minimum is 10; everybody comes back"]
+    assert slow.alarms == [
+        "the ground station makes 7.0 ticks a second, minimum is 10; everybody comes back;"
+        " end what else this computer does, and keep it from sleeping"
+    ]
 
 
 def test_a_stream_that_flickers_is_ended() -> None:
@@ -902,7 +909,7 @@ def test_the_words_say_who_comes_back_and_who_goes_on() -> None:
     assert lost[0].land == [1]
     assert lost[0].gone[0].endswith("the others go on")
     # What is found of it later brings nobody back: it is lost already.
-    assert lost[-1].alarms == ["vehicle 2: nothing heard for 4 s"]
+    assert lost[-1].alarms == ["vehicle 2: nothing heard for 4 s; see to its link"]
     assert (lost[-1].home, lost[-1].abort) == ([], None)
 
 

@@ -151,7 +151,8 @@ def test_one_that_stands_in_the_mode_of_its_last_flight_is_asked_to_leave_it(
 def test_one_that_does_not_stand_is_not_armed(plan: MissionPlan) -> None:
     ground = Ground(plan)
     ground.fleet.landed_state[0] = LANDED_IN_AIR
-    assert ground.look(2.0) == f"does not report to stand on the ground (landed state {LANDED_IN_AIR})"
+    words = f"does not report to stand on the ground (landed state {LANDED_IN_AIR}); put it on its pad, or restart it"
+    assert ground.look(2.0) == words
 
 
 # Its clock

@@ -241,7 +241,8 @@ def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_
     assert "it acknowledged arm and did not do it" not in arming.why_not(9.0, {})
     assert arming.why_not(9.0, {1: "no"}) == "vehicle 2: not armed in mode GUIDED after 9 s: no"
     arming.heard(Outcome(1, plan.autopilots[1].arm(), 0))
-    assert arming.why_not(9.0, {}).endswith("after 9 s: it acknowledged arm and did not do it")
+    words = arming.why_not(9.0, {})
+    assert "after 9 s: it acknowledged arm and did not do it; see what QGroundControl" in words
     two.commands.request(1, plan.autopilots[1].land())  # while something waits for its answer nothing else is asked
     assert not arming.step(two.hear(4.0))
     assert two.asked(4 * SECOND_NS) == [(1, plan.autopilots[1].land().name)]
@@ -249,4 +250,4 @@ def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_
     two.fleet.armed[:] = True
     assert arming.step(two.hear(4.0))
     two.fleet.restarts[1] += 1
-    assert arming.started_anew() == "vehicle 2: has started anew while the team was arming"
+    assert arming.started_anew() == "vehicle 2: has started anew while the team was arming; see to its power"

@@ -106,7 +106,9 @@ def test_two_under_one_id_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
         scene.fleet, "twin", lambda vehicle, now_ns: "two vehicles say that they are 3" if vehicle == 2 else None
     )
     state = scene.run()
-    assert state.problems == ["vehicle 3: two vehicles say that they are 3; neither is touched"]
+    assert state.problems == [
+        "vehicle 3: two vehicles say that they are 3; neither is touched: bring them down by their remote controls"
+    ]
 
 
 def test_one_that_does_not_tell_where_it_took_off_is_taken_on_trust() -> None:

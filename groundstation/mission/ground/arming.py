@@ -93,7 +93,8 @@ class Arming:
     def started_anew(self) -> str | None:
         """Words for the vehicles of ours that have started anew since the attempt began, None where none has."""
         anew = self._fleet.sysid[(self._fleet.restarts != self._restarts) & self._roster.ours]
-        return "; ".join(f"vehicle {sysid}: has started anew while the team was arming" for sysid in anew) or None
+        words = "has started anew while the team was arming; see to its power"
+        return "; ".join(f"vehicle {sysid}: {words}" for sysid in anew) or None
 
     def two_senders(self, now_ns: int) -> str | None:
         """Words for those in whose name two speak, so that nobody knows whether they are armed; None for none."""
@@ -114,6 +115,7 @@ class Arming:
             missing = (autopilot.arm() if in_mode[vehicle] else autopilot.streaming_mode()).name
             yes = missing in self._said_yes.get(vehicle, ())
             silence = f"it acknowledged {missing} and did not do it" if yes else "the autopilot gave no reason"
+            silence += "; see what QGroundControl or Mission Planner show of its checks"
             reasons.append(
                 f"vehicle {fleet.sysid[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
                 f" after {waited_s:g} s: {said.get(vehicle, silence)}"

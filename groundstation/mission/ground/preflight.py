@@ -315,7 +315,8 @@ class Preflight:
             return f"not ready to arm{self._reason(vehicle, now_ns, said.get(vehicle))}"
         self._reasons.unready.forget(vehicle)
         if fleet.landed_state[vehicle] != LANDED_ON_GROUND:
-            return f"does not report to stand on the ground (landed state {fleet.landed_state[vehicle]})"
+            state = int(fleet.landed_state[vehicle])
+            return f"does not report to stand on the ground (landed state {state}); put it on its pad, or restart it"
         return None
 
     def _ask_for_reason(self, vehicle: int, now_ns: int) -> None:

@@ -125,7 +125,9 @@ class TakeOver:
                 if now_ns - self._start_ns < _LISTEN_MAX_NS:
                     state.waiting.append(f"{name}: no heartbeat on {spec.link} yet")
                 else:
-                    state.problems.append(f"{name}: not heard, where it is is not known")
+                    state.problems.append(
+                        f"{name}: not heard, where it is is not known; look for it, and see to its link"
+                    )
                 continue
             self._ask(vehicle, now_ns, int(pose_ns[vehicle]))
             if self._on_the_ground(vehicle):
@@ -134,7 +136,7 @@ class TakeOver:
                 if not fleet.armed[vehicle] and fleet.landed_state[vehicle] in (LANDED_IN_AIR, LANDED_LANDING):
                     state.problems.append(
                         f"{name}: its heartbeats say disarmed, its landed state that it flies; which is true is not"
-                        " known, and it is not touched"
+                        " known, and it is not touched; keep people away, bring it down by its remote control"
                     )
                 elif self._came_down[vehicle]:
                     state.problems.append(f"{name}: has come down by its own failsafe before it could be brought home")
@@ -152,7 +154,7 @@ class TakeOver:
             if waiting is None:
                 state.home[vehicle] = True
             elif late:
-                state.problems.append(f"{name}: {waiting}; it is left to its own failsafe")
+                state.problems.append(f"{name}: {waiting}; it is left to its own failsafe, keep people away")
             else:
                 state.waiting.append(f"{name}: {waiting}")
         state.done = not state.waiting and now_ns - self._start_ns >= LISTEN_NS
@@ -192,15 +194,17 @@ class TakeOver:
         fleet, autopilot = self._station.fleet, self._plan.autopilots[vehicle]
         mode = int(fleet.custom_mode[vehicle])
         if now_ns - fleet.heartbeat_ns[vehicle] > _OLD_NEWS_NS:
-            return f"last heartbeat {(now_ns - int(fleet.heartbeat_ns[vehicle])) / SECOND_NS:.1f} s ago"
+            return (
+                f"last heartbeat {(now_ns - int(fleet.heartbeat_ns[vehicle])) / SECOND_NS:.1f} s ago; see to its link"
+            )
         if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
             return f"its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}; correct vehicles[{vehicle}].autopilot"
         kind = unflown_words(int(fleet.mav_type[vehicle]))
         if kind is not None:
-            return f"{kind}; it is left alone"
+            return f"{kind}; it is left alone: bring it down by its remote control"
         twin = fleet.twin(vehicle, now_ns)
         if twin is not None:
-            return f"{twin}; neither is touched"
+            return f"{twin}; neither is touched: bring them down by their remote controls"
         if autopilot.is_flown_by_pilot(mode, int(fleet.system_status[vehicle])):
             return f"is flown by a pilot, in mode {autopilot.mode_name(mode)}; it is not fought over"
         if not self._roster.steered[vehicle] and autopilot.is_followed_closely(mode, int(fleet.system_status[vehicle])):

@@ -221,7 +221,7 @@ class Board:
         what = (f"{names}: " if names else "") + finding.what
         subject = names if len(ids) == 1 else what
         text = what + (f"; {consequence}" if consequence else "")
-        findings.tell(text, subject, reaction, going_on=sight.going_on, urgent=finding.urgent)
+        findings.tell(text, subject, reaction, going_on=sight.going_on, urgent=finding.urgent, remedy=finding.remedy)
 
 
 def _consequence(reaction: Reaction, *, several: bool, going_on: bool, others: bool) -> str:

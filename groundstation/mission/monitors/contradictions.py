@@ -14,11 +14,12 @@ from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.kinds import Kind
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import OWN_ID, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 
 _BESIDE_S = 1.5  # longer than any of the messages takes to follow the others
 _OF_HEIGHT = 0.5  # of the takeoff height: who is higher above its pad does not stand on it
+_FIND = "find who else speaks on its link, or what is wrong with it"
 _OF_MARGIN = 2.0  # times what positions are off
 
 
@@ -43,7 +44,7 @@ class Contradictions:
         counts = ours & ~sight.excused
         for vehicle in self._doubts(fleet.disarm_doubted & counts, sight.now_ns):
             what = "its heartbeats say disarmed, its landed state that it flies; it counts as flying"
-            yield Finding(Reaction.ALL_HOME, what, (vehicle,))
+            yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=_FIND)
         height_m = (self._pads_ned_m - sight.pos_team_ned_m)[:, 2]
         high = (fleet.landed_state == LANDED_ON_GROUND) & fleet.armed & (height_m > self._height_m)
         high &= counts & ~sight.blind
@@ -52,7 +53,7 @@ class Contradictions:
         self.flies[found] = True
         for vehicle in found:
             what = f"says that it stands on the ground, {height_m[vehicle]:.1f} m above its pad; it counts as flying"
-            yield Finding(Reaction.ALL_HOME, what, (vehicle,))
+            yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=_FIND)
         judged = [] if fleet.senders.all_alike else ours.nonzero()[0].tolist()
         strange = {row: fleet.senders.strange_kind(row, sight.now_ns) for row in judged}
         told = np.array([strange.get(row) is not None for row in range(len(fleet))])
@@ -61,4 +62,4 @@ class Contradictions:
             if kind is not None:
                 own = Kind(int(fleet.mav_type[vehicle]), int(fleet.autopilot[vehicle]))
                 what = f"heartbeats of a {kind.words} come under its id, it is a {own.words}; they count for nothing"
-                yield Finding(Reaction.ALL_HOME, what, (vehicle,))
+                yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=OWN_ID)

@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.quick import between, norms, some
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
@@ -72,4 +72,4 @@ class Descents:
         beside_m = self._beside_m + self._wind.sway_m + self._speeds.sway_m
         for vehicle in self._ended(ended & (off_m > beside_m), now_ns):
             away = f"has landed {off_m[vehicle]:.2f} m from where it was told to, limit {beside_m:.2g} m"
-            yield Finding(Reaction.FAILED, away, (vehicle,))
+            yield Finding(Reaction.FAILED, away, (vehicle,), remedy=SEE_TO_POSITION)

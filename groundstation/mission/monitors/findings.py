@@ -14,6 +14,9 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.timing import SECOND_NS, HeldEach
 
+SEE_TO_POSITION = "see to its GPS or motion capture"
+OWN_ID = "give each vehicle an id of its own"
+
 
 class Reaction(Enum):
     """What a finding asks for, from mild to hard."""
@@ -49,6 +52,7 @@ class Finding:
         urgent: does not wait for the end of an operator's hold.
         pair: judges two vehicles by what is between them; they are named together.
         fate: judges nobody: it says what has become of a vehicle, whoever has it, and asks for nothing (``SAY``).
+        remedy: what a person can do about it, now or before the next flight; told, and no part of a reason.
     """
 
     reaction: Reaction
@@ -59,6 +63,7 @@ class Finding:
     urgent: bool = False
     pair: bool = False
     fate: bool = False
+    remedy: str = ""
 
     def of(self, ours: BoolArray) -> Finding | None:
         """What is left of it when nobody is judged who is not ours; None where it says something of others alone.
@@ -162,7 +167,9 @@ class Findings:
         elif reaction is Reaction.HOME:
             self.home += rows
 
-    def tell(self, text: str, subject: str, reaction: Reaction, *, going_on: bool, urgent: bool) -> None:
+    def tell(
+        self, text: str, subject: str, reaction: Reaction, *, going_on: bool, urgent: bool, remedy: str = ""
+    ) -> None:
         """Takes the words of a finding: an alarm always, and a reason where something follows.
 
         Args:
@@ -171,8 +178,9 @@ class Findings:
             reaction: what is done.
             going_on: the mission goes on without a vehicle that drops out.
             urgent: everybody comes back, even from an operator's hold.
+            remedy: what a person can do.
         """
-        self.alarms.append(text)
+        self.alarms.append(f"{text}; {remedy}" if remedy else text)
         if reaction in (Reaction.SAY, Reaction.HOLD):
             return
         if reaction is Reaction.FAILED:

@@ -25,6 +25,7 @@ _NEW_IN_AIR_S = 3.0
 _RATE_OVER_S = 2.0
 _RATE_SHARE, _RATE_MIN_HZ = 0.2, 5.0
 _OWN_RATE_SHARE = 0.5
+_BUSY = "end what else this computer does, and keep it from sleeping"
 _STREAM_OVER_S, _STREAM_MIN_HZ = 5.0, 2.0  # PX4 leaves OFFBOARD below 2 Hz, and comes back by itself with the next few
 
 
@@ -92,8 +93,9 @@ class Following:
             self.strays[vehicle] = True
             self._lag_s[vehicle] = self._own_lag_s[vehicle]
             what = f"does not follow its setpoints by {off_m_s[vehicle]:.2f} m/s, limit {self._limit_m_s:.2g} m/s"
-            what += self._wind.blame(vehicle)
-            yield Finding(Reaction.HOME, what, (vehicle,))
+            blown = self._wind.blame(vehicle)
+            remedy = "" if blown else "see to its motors, propellers and load before it flies again"
+            yield Finding(Reaction.HOME, what + blown, (vehicle,), remedy=remedy)
         for vehicle in self._again(away, sight.now_ns):
             yield Finding(Reaction.LAND, f"has not followed its setpoints for {_STRAYS_ON_S:g} s", (vehicle,))
         self.strays &= away
@@ -170,15 +172,15 @@ class LateTicks:
         recent = len(self._recent)
         if self._late(np.array([gap_s > self._late_s]), now_ns):
             what = f"the ground station stood still for {gap_s:.2f} s, limit {self._late_s:g} s"
-            yield Finding(Reaction.ALL_HOME, what)
+            yield Finding(Reaction.ALL_HOME, what, remedy=_BUSY)
         slow = reach_s > _RATE_OVER_S and recent < self._least_hz * _RATE_OVER_S
         if self._slow(np.array([slow]), now_ns):
             what = f"the ground station makes {recent / _RATE_OVER_S:.1f} ticks a second, minimum is"
-            yield Finding(Reaction.ALL_HOME, f"{what} {self._least_hz:g}")
+            yield Finding(Reaction.ALL_HOME, f"{what} {self._least_hz:g}", remedy=_BUSY)
         rare = reach_s > _STREAM_OVER_S - 1.0 / _STREAM_MIN_HZ and len(self._ticks) < _STREAM_OVER_S * _STREAM_MIN_HZ
         if self._silent(np.array([rare]), now_ns):
             what = f"the ground station makes less than {_STREAM_MIN_HZ:g} ticks a second, autopilots come and go with"
-            yield Finding(Reaction.SILENCE, f"{what} that", urgent=True)
+            yield Finding(Reaction.SILENCE, f"{what} that", urgent=True, remedy=_BUSY)
 
 
 def bounded_growth_m(first_m: float, rate_m_s: float, age_s: FloatArray, most_m: float) -> FloatArray:

@@ -17,7 +17,7 @@ from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.monitors.drifts import Astray
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import OWN_ID, SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.links import LinkPlan
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, HeldEach
@@ -160,7 +160,7 @@ class PoseJump:
             if sight.excused[vehicle]:
                 yield Finding(Reaction.FAILED, f"{what}; it lands by it, keep people away", (vehicle,), lost=True)
             else:
-                yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
+                yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy=SEE_TO_POSITION)
 
 
 class LinkSilence:
@@ -182,7 +182,8 @@ class LinkSilence:
         for link in self._lasting(down, sight.now_ns):
             rows = tuple(((self._link_of_vehicle == link) & ours & ~sight.excused).nonzero()[0].tolist())
             what = f"link {self._links[link]}: nothing heard of anybody for {self._limit_s:g} s"
-            yield Finding(Reaction.LAND, what, rows, lost=True, unheard=True)
+            remedy = "see to its radio, cable or network"
+            yield Finding(Reaction.LAND, what, rows, lost=True, unheard=True, remedy=remedy)
 
 
 class RoomSilence:
@@ -223,7 +224,8 @@ class PoseAge:
         lost = (age_ns > self._limits.pose_lost_s * SECOND_NS) & ours & ~sight.excused & ~sight.blind
         for vehicle in self._lost(lost, sight.now_ns):
             what = f"no position for {self._limits.pose_lost_s:g} s"
-            yield Finding(Reaction.LAND, what, (vehicle,), lost=True, unheard=True)
+            remedy = "see to its link, and to its GPS or motion capture"
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True, unheard=True, remedy=remedy)
 
 
 class Frozen:
@@ -247,7 +249,7 @@ class Frozen:
         frozen &= ~sight.excused & ~sight.blind
         for vehicle in self._lasting(frozen, sight.now_ns):
             what = f"its position has not changed by a bit in {_FROZEN_S:g} s"
-            yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy=SEE_TO_POSITION)
 
 
 class Frames:
@@ -280,21 +282,23 @@ class Frames:
                 f"an origin {fleet.origin_moved_m[vehicle]:.0f} m from its own is told under its id"
                 " (GPS_GLOBAL_ORIGIN), and neither of its positions has moved; it counts for nothing"
             )
-            yield Finding(Reaction.ALL_HOME, what, (vehicle,))
+            yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy="find who else speaks on its link")
         moved &= ~denied
         for vehicle in self._wrong((restarted | moved | drifting) & ours & ~sight.excused, sight.now_ns):
             if restarted[vehicle]:
-                what = "its autopilot has started anew"
+                what, remedy = "its autopilot has started anew", "see to its battery and the plugs of its power"
             elif moved[vehicle]:
                 what = f"its origin has moved by {fleet.origin_moved_m[vehicle]:.2f} m"
+                remedy = "see to its GPS, and let nobody else set its origin"
             else:
                 what = f"its local and global positions are {sight.drift_m[vehicle]:.2f} m apart, limit {limit_m:.2g} m"
-            yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
+                remedy = "see to its GPS"
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy=remedy)
         twins = fleet.twins_behind_one_address(sight.now_ns)
         found: BoolArray = np.zeros(len(fleet), dtype=np.bool_)
         found[[row for row in twins if ours[row]]] = True
         for vehicle in self._twins(found, sight.now_ns):
-            yield Finding(Reaction.ALL_HOME, twins[vehicle], (vehicle,))
+            yield Finding(Reaction.ALL_HOME, twins[vehicle], (vehicle,), remedy=OWN_ID)
 
 
 class Tilt:
@@ -312,4 +316,4 @@ class Tilt:
         tilted = (tilt_deg > self._limit_deg) & sight.airborne & ours & ~sight.excused & ~sight.blind
         for vehicle in self._lasting(tilted, sight.now_ns):
             what = f"is tilted by {tilt_deg[vehicle]:.0f} degrees, limit {self._limit_deg:g} degrees"
-            yield Finding(Reaction.LAND, what, (vehicle,), lost=True)
+            yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy="keep people away")

@@ -16,7 +16,7 @@ from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.resting import Rest, still_limit_m
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 
 _LASTS_S = 0.3
@@ -74,7 +74,9 @@ class Resting:
             moved = f"its position has moved by {self._rest.moved_m[vehicle]:.2f} m while it stood"
             what = f"{moved}, limit {self._limit_m:.2g} m"
             if self._flown[vehicle]:
-                yield Finding(Reaction.FAILED, f"{what}, after it landed; see to its position", (vehicle,), lost=True)
+                yield Finding(
+                    Reaction.FAILED, f"{what}, after it landed", (vehicle,), lost=True, remedy=SEE_TO_POSITION
+                )
             else:
                 what += (
                     ", before it took off; it stays there, see to its GPS or motion capture and restart it on its pad"

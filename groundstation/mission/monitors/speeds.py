@@ -21,7 +21,7 @@ from groundstation.core.quick import norms
 from groundstation.core.speeds import DISAGREES_M_S, Speeds
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, HeldEach, SinceBefore
 
@@ -124,7 +124,7 @@ class PoorSpeeds:
         judged = sight.airborne & ours & ~sight.excused & ~sight.blind
         for vehicle in self._hopeless(judged & (rms_m_s > self._limit_m_s), sight.now_ns):
             what = f"its velocity is wrong: {rms_m_s[vehicle]:.2f} m/s off what its positions do"
-            yield Finding(Reaction.HOME, f"{what}, limit {self._limit_m_s:.2g} m/s", (vehicle,))
+            yield Finding(Reaction.HOME, f"{what}, limit {self._limit_m_s:.2g} m/s", (vehicle,), remedy=SEE_TO_POSITION)
         for vehicle in self._poor(judged & (rms_m_s > DISAGREES_M_S), sight.now_ns):
             what = f"its velocity is poor: {rms_m_s[vehicle]:.2f} m/s off what its positions do; it is flown by both"
-            yield Finding(Reaction.SAY, what, (vehicle,))
+            yield Finding(Reaction.SAY, what, (vehicle,), remedy=SEE_TO_POSITION)

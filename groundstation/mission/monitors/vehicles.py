@@ -19,6 +19,7 @@ _BATTERY_LOST = 3.0  # times the limit after which the vehicle comes back
 _MODE_LOST_S = 2.5  # two heartbeats, so that one from before our last request is not believed
 _WAITS_S = 10.0  # for one that its own failsafe holds until it hears setpoints again; told after a moment
 _WAITS_TOLD_S = 0.2
+_LOOK = "see to its battery monitor and its link"
 
 
 class Heartbeats:
@@ -41,7 +42,7 @@ class Heartbeats:
                     f"no heartbeat for {HEARTBEAT_PATIENCE * self._limit_s:g} s, whether it is armed and follows is"
                     " not known any more"
                 )
-            yield Finding(Reaction.HOME, what, (vehicle,))
+            yield Finding(Reaction.HOME, what, (vehicle,), remedy="see to its link")
 
 
 class Modes:
@@ -77,7 +78,7 @@ class Modes:
         for vehicle in self._told_deaf(self.waits, sight.now_ns):
             mode = self._autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
             what = f"hears no setpoints, its own failsafe holds it in mode {mode}; it is waited for, {_WAITS_S:g} s"
-            yield Finding(Reaction.SAY, what, (vehicle,))
+            yield Finding(Reaction.SAY, what, (vehicle,), remedy="see to the link towards it")
         for vehicle in self._lasting(left & ~self.waits, sight.now_ns) + self._deaf(self.waits, sight.now_ns):
             mode = self._autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
             what = f"left for mode {mode}" if fleet.armed[vehicle] else "disarmed by itself"
@@ -131,11 +132,11 @@ class BatteryAge:
         counts = (self._told_ns != NEVER) & sight.airborne & ours & ~sight.excused
         for vehicle in self._first(counts & (age_s > self._limit_s), sight.now_ns):
             what = f"its battery was last told {age_s[vehicle]:.0f} s ago, limit {self._limit_s[vehicle]:.0f} s"
-            yield Finding(Reaction.SAY, what, (vehicle,))
+            yield Finding(Reaction.SAY, what, (vehicle,), remedy=_LOOK)
         for vehicle in self._again(counts & (age_s > _BATTERY_LOST * self._limit_s), sight.now_ns):
             limit_s = _BATTERY_LOST * self._limit_s[vehicle]
             what = f"its battery was last told {age_s[vehicle]:.0f} s ago, limit {limit_s:.0f} s"
-            yield Finding(Reaction.HOME, what, (vehicle,))
+            yield Finding(Reaction.HOME, what, (vehicle,), remedy=_LOOK)
 
 
 class _Stage:

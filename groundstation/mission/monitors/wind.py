@@ -121,9 +121,11 @@ class Wind:
         beyond = mean_m_s > _MEAN_OVER * limit.mean_m_s + self._unsure_m_s
         beyond |= gust_m_s > _GUST_OVER * limit.gust_m_s + _GUST_UNSURE_M_S
         for _ in self._beyond(np.array([self.estimate.known and beyond]), sight.now_ns):
-            yield Finding(Reaction.ALL_HOME, f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}")
+            what = f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}"
+            yield Finding(Reaction.ALL_HOME, what, remedy="wait for less wind, or state more of it in the mission")
         for _ in self._near(np.array([self.estimate.known and near]), sight.now_ns):
-            yield Finding(Reaction.SAY, f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}")
+            what = f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}"
+            yield Finding(Reaction.SAY, what, remedy="bring them back before it is more")
 
     def _words(self, mean_m_s: float, gust_m_s: float) -> str:
         north, east, _ = self.estimate.mean_ned_m_s
