@@ -24,15 +24,16 @@ def main() -> None:
         _CTRL_C.begin()
         run()
     except BaseException as error:
+        _CTRL_C.over = True
         of_it = isinstance(error, KeyboardInterrupt) or (_CTRL_C.raised and not isinstance(error, SystemExit))
         if not of_it:
             raise
-        _CTRL_C.end()
         if "--json" in sys.argv:
             sys.stdout.write(STOPPED_JSON)
         sys.stderr.write(STOPPED_WORDS)
         sys.exit(STOPPED)
     finally:
+        _CTRL_C.over = True
         _CTRL_C.end()
 
 

@@ -27,10 +27,12 @@ class CtrlC:
 
     Attributes:
         raised: it was; whatever comes out of the program since then comes of it.
+        over: set to True where a command has ended, without a call in which one could still come: it counts no more.
     """
 
     def __init__(self) -> None:
         self.raised = False
+        self.over = False
         self._working = False
         self._waits = False
 
@@ -45,12 +47,14 @@ class CtrlC:
         self._working = True
 
     def end(self) -> None:
-        """All is done: from here on SIGINT ends the process without a word, while Python takes itself apart."""
+        """All is told: from here on SIGINT ends the process without a word, while Python takes itself apart."""
         signal.setitimer(signal.ITIMER_REAL, 0)
         if signal.getsignal(signal.SIGINT) in (self._take, signal.default_int_handler):
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     def _take(self, _number: int, frame: "FrameType | None") -> None:
+        if self.over:
+            return
         if not self._working or self._waits:
             _leave()
         loads = _who_loads(frame)

@@ -181,7 +181,7 @@ def write_whole(path: Path, content: bytes, *, mode: int = 0o666, durable: bool 
             if durable:
                 os.fsync(descriptor)
         part.replace(path)
-    except OSError:
+    except BaseException:  # Ctrl-C too
         with contextlib.suppress(OSError):
             part.unlink()
         raise

@@ -113,6 +113,26 @@ def test_ctrl_c_while_python_takes_itself_apart_says_nothing(tmp_path: Path) -> 
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
+_EVERY_LINE = """
+    import groundstation.__main__ as entry
+    def tracer(frame, event, _):
+        if frame.f_code.co_name in ("main", "end") and "groundstation" in frame.f_code.co_filename:
+            if entry._CTRL_C.over:
+                os.write(1, b"pressed ")
+                press()
+        return tracer
+    sys.settrace(tracer); sys._getframe(1).f_trace = tracer
+"""
+"""Ctrl-C at every line of the entry point once a command has ended."""
+
+
+@pytest.mark.parametrize(("ends", "code"), [("pass", 0), ("sys.exit(3)", 3), ("sys.exit(0)", 0)])
+def test_ctrl_c_at_any_line_after_a_command_is_no_traceback(ends: str, code: int, tmp_path: Path) -> None:
+    done = _run(_program(_EVERY_LINE + f"    {ends}"), "", tmp_path)
+    assert done.stdout.startswith("pressed ")
+    assert (done.returncode, done.stderr) in ((code, ""), (-signal.SIGINT, ""))
+
+
 def test_a_program_that_is_to_ignore_ctrl_c_goes_on(tmp_path: Path) -> None:
     done = _run(_program("press()", before="signal.signal(signal.SIGINT, signal.SIG_IGN)"), "", tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "went on\n", "")

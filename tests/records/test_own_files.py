@@ -248,3 +248,16 @@ def test_a_flight_on_vehicles_syncs_its_log_every_second_by_a_thread_of_its_own(
     assert code == 3
     assert threads.count("log") >= 3
     assert io.BytesIO((tmp_path / "a.tlog").read_bytes()).getbuffer().nbytes > 1000
+
+
+def test_ctrl_c_in_the_middle_of_a_file_leaves_the_old_one_and_nothing_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    write_whole(tmp_path / "file", b"old")
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "file", b"new")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("file", b"old")]

@@ -7,6 +7,7 @@ air: that sends a setpoint with which motors stop.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import struct
@@ -43,6 +44,9 @@ _KINDS = {
     "double": 9, "uint64_t": 9, "int64_t": 9,
 }  # fmt: skip
 _OLD_S = 0.5
+logging.getLogger("cflib.crazyflie").setLevel(
+    logging.ERROR
+)  # links that fail are told in our words, without tracebacks
 
 
 @dataclass(frozen=True)
