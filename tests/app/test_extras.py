@@ -62,11 +62,6 @@ def test_what_an_extra_brings_is_what_the_program_says_of_it() -> None:
         assert {_PART_OF.get(name, name) for name in names} == _packages(_PROJECT["optional-dependencies"][extra])
 
 
-def test_readme_names_every_extra_and_no_other() -> None:
-    readme = (_ROOT / "README.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^\| `pip install '\.\[(\w+)\]'` \|", readme, re.MULTILINE)) == sorted([*EXTRAS, "all"])
-
-
 @pytest.mark.parametrize(
     ("words", "package", "extra"),
     [

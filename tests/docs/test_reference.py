@@ -18,6 +18,7 @@ from groundstation.app.completing import ORDERS
 from groundstation.app.packaged import packaged_names
 from groundstation.app.reference.examples import EXAMPLES
 from groundstation.app.reference.words import FILES, described, inside, words_of
+from groundstation.core.extras import EXTRAS
 from tests.docs.pages import PAGES, click_commands
 
 _ROOT = Path(__file__).parents[2]
@@ -120,11 +121,13 @@ def test_every_command_has_an_example_that_it_takes(name: str) -> None:
     assert set(EXAMPLES) == set(COMMANDS)
 
 
-def test_every_command_mission_and_order_is_where_a_reader_looks_for_it() -> None:
+def test_every_command_mission_order_and_extra_is_where_a_reader_looks_for_it() -> None:
     readme, missions, operating = (
         (_ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/missions.md", "docs/operating.md")
     )
     assert [name for name in COMMANDS if f"`gs {name}" not in readme and f"gs {name} " not in readme] == []
+    extras = re.findall(r"^\| `pip install '\.\[(\w+)\]'` \|", readme, re.MULTILINE)
+    assert sorted(extras) == sorted([*EXTRAS, "all"])
     come_along = packaged_names("missions")
     assert len(come_along) > 5
     assert [name for name in come_along if f"`{name}`" not in readme] == []

@@ -451,6 +451,7 @@ WITHOUT_REMEDY = {
     "Resting": "1: the same",
     "Sinking": "2: the same",
     "Touchdowns": "2: the same",
+    "TrafficNear": "1: the same",
 }
 """Monitors: how many of their findings name no remedy beside the words, and why."""
 
