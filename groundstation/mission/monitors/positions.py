@@ -202,7 +202,9 @@ class RoomSilence:
         if self._lasting(np.array([room.gone and every(old[ours])]), sight.now_ns):
             rows = tuple((ours & ~sight.excused).nonzero()[0].tolist())
             what = f"motion capture: nothing of anybody for {self._limit_s:g} s"
-            yield Finding(Reaction.LAND, what, rows, lost=True)
+            yield Finding(
+                Reaction.LAND, what, rows, lost=True, remedy="see to its cameras, its computer and the network"
+            )
 
 
 class PoseAge:
