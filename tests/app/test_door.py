@@ -131,12 +131,14 @@ def test_a_shell_is_told_how_a_line_goes_on(line: str, goes_on: str) -> None:
 
 
 def test_what_an_option_lists_is_what_there_is() -> None:
-    from groundstation.app.commands import design, sitl, sitl_env
+    from groundstation.app.commands import design, mocap, sitl, sitl_env
     from groundstation.app.real_sitl import HOME
     from groundstation.design.designer import METHODS
+    from groundstation.mocap.bodies import LINK
     from sitl.personalities import PERSONALITIES
 
     assert tuple(METHODS) == design._METHODS
+    assert mocap._LINK == LINK
     assert sitl.personality_names() == sorted(PERSONALITIES)
     assert ",".join(map(str, HOME)) == sitl_env._HOME
 

@@ -17,9 +17,9 @@ from groundstation.app.output import Output
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.extras import need
-from groundstation.mocap.bodies import LINK
 
 _KINDS = ("read", "fake", "play")
+_LINK = "udpin://127.0.0.1:14595"  # mocap.bodies.LINK, which would load numpy for --help
 
 
 def mocap(
@@ -39,7 +39,7 @@ def mocap(
     system: Annotated[str | None, typer.Option(help="Kind of system: vicon, optitrack, qualisys, vrpn, ...")] = None,
     host: Annotated[str | None, typer.Option(help="Where it streams from.")] = None,
     body: Annotated[list[str] | None, typer.Option(help="Name of a body and its vehicle, NAME=ID; once each.")] = None,
-    link: Annotated[str | None, typer.Option(help=f"Where the flight listens, as in the mission; {LINK}.")] = None,
+    link: Annotated[str | None, typer.Option(help=f"Where the flight listens, as in the mission; {_LINK}.")] = None,
     up: Annotated[str, typer.Option(help="Axis of the system that points up: z or y.")] = "z",
     unit: Annotated[str, typer.Option(help="Its unit: m or mm.")] = "m",
     hz: Annotated[float, typer.Option(help="Frames a second, with fake.", min=1, max=500)] = 100.0,
@@ -68,7 +68,7 @@ def mocap(
     given = None if plan is None else plan.spec.positioning
     if plan is not None and (given is None or isinstance(given, str)):
         raise UserError(f"{plan.source}: positioning: no motion capture; write positioning: {{source: mocap}}")
-    at = parse_address(link or (LINK if given is None or isinstance(given, str) else given.link))
+    at = parse_address(link or (_LINK if given is None or isinstance(given, str) else given.link))
     host_of_flight = "127.0.0.1" if at.host in ("", "0.0.0.0") else at.host  # noqa: S104 - compared, not bound
     wire = Wire(host_of_flight, at.port)
     stop = Event()
