@@ -86,9 +86,9 @@ def mocap(
         say(f"plays {log} to udp {host_of_flight}:{at.port}")
         out.result({"datagrams": play(find_log(log), wire.send, wall_clock_pace())})
         return
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     if kind == "fake":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
         from groundstation.app.mocap.serving import fake_server, read_faults
 
         if plan is None:
@@ -105,10 +105,10 @@ def mocap(
     if system is None or host is None:
         raise UserError("gs mocap read: --system and --host, or a mission that has them under positioning, are needed")
     ids = {} if plan is None else {vehicle.body_name: vehicle.id for vehicle in plan.spec.vehicles}
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a system that is silent keeps the process in its own library
     reader = Reader(ids | _bodies(body or []), up=up, unit=unit)
     say(f"reads {system} at {host}, sends to udp {host_of_flight}:{at.port}")
-    read(connect(system, host), reader, wire, stop.is_set)
-    out.result({"frames": reader.frames})
+    read(connect(system, host), reader, wire)
 
 
 def _bodies(words: list[str]) -> dict[str, int]:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Mapping
-from typing import Protocol
+from collections.abc import Mapping
+from typing import NoReturn, Protocol
 
 import numpy as np
 
@@ -152,17 +152,16 @@ class Reader:
         return self._encoder.words(f"bodies of nobody: {' '.join(sorted(self.strangers))}")
 
 
-def read(system: System, reader: Reader, wire: Wire, ends: Callable[[], bool]) -> None:
-    """Reads until it is told to end.
+def read(system: System, reader: Reader, wire: Wire) -> NoReturn:
+    """Reads until the process ends.
 
     Args:
         system: connected.
         reader: of its frames.
         wire: where they go.
-        ends: asked after every frame.
     """
     say_ns = time.monotonic_ns()
-    while not ends():
+    while True:
         system.waitForNextFrame()
         now_ns = time.monotonic_ns()
         if data := reader.datagram(system.rigidBodies, now_ns // 1000):
