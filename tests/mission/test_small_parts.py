@@ -219,6 +219,9 @@ def test_whoever_has_a_pad_above_its_own_climbs_when_that_one_is_ahead() -> None
         climb = Climb(two.plan, two.roster, Guide(stairs).beside_m, Standing(stairs, two.fleet))
         climb.step(two.hear(0.1), two.fleet, two.commands, np.zeros(2), np.full(2, 2.0))
         assert not [item for item in two.asked(SECOND_NS // 10) if item[0] == 0]
+        if ahead_m:  # who climbs by velocity is ahead at six tenths of its height, and no sooner
+            climb.step(two.hear(0.5), two.fleet, two.commands, np.array([0.0, ahead_m - 0.02]), np.full(2, 2.0))
+            assert not [item for item in two.asked(SECOND_NS // 2) if item[0] == 0]
         two.fleet.landed_state[1] = LANDED_IN_AIR
         climb.step(two.hear(1.0), two.fleet, two.commands, np.array([0.0, ahead_m]), np.full(2, 2.0))
         assert two.asked(SECOND_NS) == [(0, "takeoff")]
