@@ -17,14 +17,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
+from groundstation.app.mocap.fake import FakeConfig, RoomFault
 from groundstation.app.resources import packaged_configs
+from groundstation.mission import timing
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.runner import Phase
 from groundstation.records.manifest import manifest_path
 from sitl.faults import load_faults
-from sitl.world import World
-from tests.app.flights import FULL_RATE, Flight, after, four, pair
+from sitl.world import Outgoing, World
+from tests.app.flights import FULL_RATE, Flight, after, four, mission, pair
+from tests.mavlink.sender import Sender
 
 FOLDER = Path(__file__).parent / "reference_logs"
 FIGURES = FOLDER / "figures.json"
@@ -160,6 +163,38 @@ def _rough_day(log: Path) -> Flight:
     return _under("rough_day", four(*ids, "steps.1.hold.seconds=4"), log)
 
 
+def _poor(log: Path) -> Flight:
+    """Poor sensors, shaped setpoints, a pole beside the way and an aircraft that nobody steers, told by vehicle 1."""
+    changes = (
+        "compensate_s=auto", "sensing={loss: 0.2, noise_m: 0.05}", "traffic={radius_m: 1}",
+        "obstacles=[{name: pole, at_m: [0, 9, 0], radius_m: 0.5, height_m: 6}]",
+        "steps.1.hold.seconds=3", "fence={min_m: [-12, -12, 0], max_m: [12, 12, 8]}", "speed_limit_m_s=1",
+    )  # fmt: skip
+    sender, told = Sender(1), [0]
+
+    def passes(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        if datagram.vehicle_index or flight.now_ns - told[0] < timing.SECOND_NS or flight.runner.phase is Phase.CONNECT:
+            return [datagram]
+        told[0] = flight.now_ns
+        config = flight.world.config
+        place = (config.home_lat_deg + 1.2e-4, config.home_lon_deg, config.home_alt_m + 3.0)  # 13 m north
+        return [datagram._replace(data=datagram.data + sender.aircraft(place, (-0.2, 0.0, 0.0)))]
+
+    return Flight(pair(*changes, autopilots=("px4", "px4")), log=log, tamper=passes)
+
+
+def _room(log: Path) -> Flight:
+    """Two Crazyflies behind the gateway, whose places come from motion capture; one is covered for a moment."""
+    two = (
+        "formation=../formations/pair2.yaml", "formation_scale=1.2", "gains=../gains/pair2.npz",
+        "vehicles=[{id: 1, link: 'udpin://127.0.0.1:14540', autopilot: crazyflie, origin: team, pad_m: [0, 0, 0]},"
+        " {id: 2, link: 'udpin://127.0.0.1:14540', autopilot: crazyflie, origin: team, pad_m: [1, 0, 0]}]",
+        "steps.1.hold.seconds=1",
+    )  # fmt: skip
+    room = FakeConfig(hz=50.0, faults=(RoomFault("occlude", 12.0, 12.3, (1,)),))
+    return Flight(mission("lab_cube8", *two), log=log, room=room)
+
+
 FLIGHTS: dict[str, Callable[[Path], Flight]] = {
     "completed": _completed,
     "goes_on": _goes_on,
@@ -175,6 +210,8 @@ FLIGHTS: dict[str, Callable[[Path], Flight]] = {
     "slow_link": _slow_link,
     "rough_day": _rough_day,
     "hello1": _hello1,
+    "poor": _poor,
+    "room": _room,
 }
 
 
