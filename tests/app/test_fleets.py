@@ -213,7 +213,7 @@ def test_an_autopilot_that_says_yes_and_does_nothing_is_told_from_its_heartbeat(
     look = _when(lambda flight: flight.now_ns > 0, lambda flight: _yes_man(flight.world.autopilots[vehicle]))
     flight = Flight(pair("limits.arming_s=10"), interrupt_when=look)
     _assert_on_the_ground(flight)
-    assert flight.runner.reason == words
+    assert flight.runner.reason == f"{words}; see what QGroundControl or Mission Planner show of its checks"
 
 
 @pytest.mark.parametrize("vehicle", [0, 1])
