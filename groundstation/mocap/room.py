@@ -174,9 +174,11 @@ class Room:
                 " positioning.link"
             )
         if self._period_s > 1.0 / _RATE_MIN_HZ:
-            return f"frames of the motion capture come at {1.0 / self._period_s:.0f} Hz, least {_RATE_MIN_HZ:g} Hz"
+            slow = f"frames of the motion capture come at {1.0 / self._period_s:.0f} Hz, least {_RATE_MIN_HZ:g} Hz"
+            return f"{slow}; raise its rate there, and see to the network between"
         if self._clock.lateness_ns > _LATE_NS:
-            return f"the motion capture's newest frame came {self._clock.lateness_ns / 1e6:.0f} ms late, limit 100 ms"
+            late = f"the motion capture's newest frame came {self._clock.lateness_ns / 1e6:.0f} ms late"
+            return f"{late}, limit {_LATE_NS / 1e6:.0f} ms; see to the network between, and to the load of its computer"
         seen = now_ns - self.measured_ns <= _FRESH_NS
         if seen.any() and (found := pads_words(self.config, np.where(seen[:, None], self.pos_ned_m, np.nan))[vehicle]):
             return found
