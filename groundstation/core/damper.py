@@ -208,6 +208,34 @@ def _shared_m_s(views: LocalViews, normals: FloatArray, common_flu_m_s: FloatArr
     return np.asarray(between(moved, np.minimum(told, 0.0), np.maximum(told, 0.0)), dtype=np.float64)
 
 
+def obstacle_bounds(
+    left_m: FloatArray,
+    towards: FloatArray,
+    vel_m_s: FloatArray,
+    params: DamperParams,
+    *,
+    comes_m_s: FloatArray | float = 0.0,
+    poor_m_s: FloatArray | float = 0.0,
+) -> FloatArray:
+    """How fast agents may fly towards what does nothing of its half of a manoeuvre, m/s, shape (m, k).
+
+    docs/avoidance-why.md, "The approach damper": n . u <= alpha h + min(n . w, 0), no agent is asked for more than the
+    speed limit. Any axes, the same for all.
+
+    Args:
+        left_m: distances from the surfaces, less what is kept from them, shape (m, k).
+        towards: unit vectors towards them, shape (m, k, 3).
+        vel_m_s: of the agents, shape (m, 3).
+        params: the vehicles.
+        comes_m_s: velocity of what is in the way along those vectors, negative when it comes nearer, shape (m, k).
+        poor_m_s: by how much the agents' velocities may be off, shape (m, 1).
+    """
+    closing_m_s = np.maximum((towards * vel_m_s[:, None]).sum(axis=2) - comes_m_s, 0.0)
+    left_m = left_m - params.horizon_s * (closing_m_s + poor_m_s)
+    most_m_s = params.rate_1_s * left_m + np.minimum(comes_m_s, 0.0)
+    return np.asarray(np.maximum(most_m_s, -params.speed_limit_m_s), dtype=np.float64)
+
+
 def walls(rot_ned_from_flu: FloatArray, low_m_s: FloatArray, high_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Turns the speeds of `limits.fence_bounds` into bounds for `damp`.
 

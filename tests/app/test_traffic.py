@@ -11,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.app.verify import verify_log
-from groundstation.core.damper import DamperParams
+from groundstation.core.damper import DamperParams, obstacle_bounds
 from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import decode
 from groundstation.mavlink.splitting import Frame, FrameSplitter
 from groundstation.mavlink.traffic import MOST, Traffic
+from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.intruders import Intruders
+from groundstation.mission.flight.poses import Poses
 from groundstation.mission.runner import Phase
 from sitl.world import Outgoing
 from tests.app.flights import SECOND_NS, Flight, pair
@@ -123,6 +125,25 @@ def test_a_team_makes_room_for_one_that_is_slower_than_it_and_keeps_r(high: bool
         assert verify_log(log).mismatches == 0
 
 
+def test_a_velocity_that_is_known_to_be_poor_counts_towards_aircraft_as_towards_what_stands() -> None:
+    """By hand: the approach is bounded by alpha (d - size - keep - T (closing + 3 sigma)), d 20 m, size 3 m."""
+    plan = pair(ROOM, MIND)
+    aircraft = Intruders(np.array([[20.0, 0.0, 0.0]]), np.zeros((1, 3)), np.array([3.0]), ("x",))
+    told: list[float] = []
+    for poor_m_s in (0.0, 0.3):
+        guide, level = Guide(plan), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+        poses = Poses(
+            np.zeros((2, 3)), np.zeros((2, 3)), level, np.zeros(2, dtype=np.bool_), vel_error_m_s=np.full(2, poor_m_s),
+            intruders=aircraft,
+        )  # fmt: skip
+        towards, most = guide._standing_in_the_way(poses)
+        np.testing.assert_allclose(towards[0, 0], [1.0, 0.0, 0.0])
+        told.append(float(most[0, 0]))
+    damper = guide._damper
+    assert told[0] == pytest.approx(damper.rate_1_s * (17.0 - plan.obstacles.keep_m))
+    assert told[0] - told[1] == pytest.approx(damper.rate_1_s * damper.horizon_s * 3.0 * 0.3)
+
+
 def test_without_the_key_nobody_minds_it() -> None:
     passing = Passing((-24.0, 1.0, 4.0), (1.0, 0.0, 0.0))
     plan = pair(ROOM, STEPS, "speed_limit_m_s=2.0", autopilots=("px4", "px4"))
@@ -167,7 +188,9 @@ def test_a_vehicle_that_lags_is_never_reached_by_one_that_is_slower(seed: int, s
             heading = np.arctan2(pos[1] - other[1], pos[0] - other[0]) + rng.normal(0.0, 0.5)
         moves = share * limit_m_s * np.array([np.cos(heading), np.sin(heading), 0.0])
         seen = Intruders(other[None], moves[None], np.array([size_m]), ("x",))
-        towards, most = seen.bounds(pos[None], vel[None], damper, keep_m)
+        away_m, towards = seen.distances(pos[None])
+        comes_m_s = (towards * moves).sum(axis=2)
+        most = obstacle_bounds(away_m - keep_m, towards, vel[None], damper, comes_m_s=comes_m_s)
         n, bound = towards[0, 0], float(most[0, 0])
         u = wish + min(bound - float(n @ wish), 0.0) * n
         u *= min(1.0, limit_m_s / max(float(np.linalg.norm(u)), 1e-9))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from groundstation.core import frames
 from groundstation.core.avoidance import Avoided, avoid, straight_on
 from groundstation.core.control import Task, formation_control, saturate
-from groundstation.core.damper import DamperParams, damp, fitting_margin_m, walls
+from groundstation.core.damper import DamperParams, damp, fitting_margin_m, obstacle_bounds, walls
 from groundstation.core.gridlock import Sensed
 from groundstation.core.law import OwnAvoidance, OwnLaw, seen_by
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
@@ -28,7 +28,6 @@ from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews, alone, local_views
 from groundstation.mission.flight.fleeing import Fleeing
-from groundstation.mission.flight.intruders import NOBODY
 from groundstation.mission.flight.poses import OncePerPoses, Poses
 from groundstation.mission.flight.sensing import Sight
 from groundstation.mission.flight.surroundings import Surroundings
@@ -301,19 +300,24 @@ class Guide:
         As the damper bounds who flies towards a vehicle that nobody steers: an obstacle does its half of nothing, so
         an agent does both, and what it moves already counts (docs/avoidance-why.md).
         """
-        obstacles, damper = self._plan.obstacles, self._damper
-        if len(poses.intruders):
-            flying = poses.intruders.bounds(poses.pos_team_ned_m, poses.vel_ned_m_s, damper, obstacles.keep_m)
-            still = self._standing_in_the_way(replace(poses, intruders=NOBODY))
-            return np.concatenate([still[0], flying[0]], axis=1), np.concatenate([still[1], flying[1]], axis=1)
-        if not len(obstacles):
+        obstacles, flying = self._plan.obstacles, poses.intruders
+        if not len(obstacles) and not len(flying):
             return np.zeros((self._plan.size, 0, 3)), np.zeros((self._plan.size, 0))
         left_m, away_enu = obstacles.distances(frames.enu_from_ned(poses.pos_team_ned_m))
-        towards_ned = -frames.ned_from_enu(away_enu)
-        closing_m_s = np.maximum((towards_ned * poses.vel_ned_m_s[:, None]).sum(axis=2), 0.0)
-        poor_m_s = DEVIATIONS * poses.vel_error_m_s[:, None]
-        left_m = left_m - obstacles.keep_m - damper.horizon_s * (closing_m_s + poor_m_s)
-        return towards_ned, np.maximum(damper.rate_1_s * left_m, -damper.speed_limit_m_s)
+        towards_ned, comes_m_s = -frames.ned_from_enu(away_enu), np.zeros_like(left_m)
+        if len(flying):
+            left_there_m, there_ned = flying.distances(poses.pos_team_ned_m)
+            comes_there_m_s = (there_ned * flying.vel_ned_m_s[None]).sum(axis=2)
+            left_m, comes_m_s = np.hstack([left_m, left_there_m]), np.hstack([comes_m_s, comes_there_m_s])
+            towards_ned = np.concatenate([towards_ned, there_ned], axis=1)
+        return towards_ned, obstacle_bounds(
+            left_m - obstacles.keep_m,
+            towards_ned,
+            poses.vel_ned_m_s,
+            self._damper,
+            comes_m_s=comes_m_s,
+            poor_m_s=DEVIATIONS * poses.vel_error_m_s[:, None],
+        )
 
     def _everybody(self, columns: NDArray[_T], visible: BoolArray, who: IntArray | None) -> NDArray[_T]:
         """Columns of those who are near as columns of everybody; as they are where they are that already."""

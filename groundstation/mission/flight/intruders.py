@@ -1,4 +1,4 @@
-"""Aircraft that are none of the team, in the team frame, and how fast vehicles may fly towards them.
+"""Aircraft that are none of the team, in the team frame.
 
 As obstacles they do nothing of their half of a manoeuvre: who flies near one does both (docs/avoidance-why.md). Nothing
 here believes more than a mission's ``traffic`` says.
@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.core.damper import DamperParams
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.traffic import Traffic
 from groundstation.mission.flight.placement import Placement
@@ -46,30 +45,12 @@ class Intruders:
         return len(self.names)
 
     def distances(self, pos_team_ned_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How far positions, shape (n, 3), are from each surface, shape (n, k), and unit vectors there, (n, k, 3)."""
+        """How far positions, shape (n, 3), are from each surface, (n, k), and unit vectors towards it, (n, k, 3)."""
         offset = self.pos_team_ned_m[None] - pos_team_ned_m[:, None]
         offset[..., 2] = np.where(np.isnan(offset[..., 2]), 0.0, offset[..., 2])
         length = np.linalg.norm(offset, axis=2)
         away = np.where((length > _TINY_M)[..., None], offset / np.maximum(length, _TINY_M)[..., None], [1.0, 0.0, 0.0])
         return length - self.radius_m, away
-
-    def bounds(
-        self, pos_team_ned_m: FloatArray, vel_ned_m_s: FloatArray, damper: DamperParams, keep_m: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors towards each, NED, shape (n, k, 3), and how fast vehicles may fly along them, m/s, shape (n, k).
-
-        Args:
-            pos_team_ned_m: of the vehicles, shape (n, 3).
-            vel_ned_m_s: of the vehicles, shape (n, 3).
-            damper: lag, delay and limits.
-            keep_m: what is kept from every surface.
-        """
-        left_m, towards = self.distances(pos_team_ned_m)
-        comes_m_s = (towards * self.vel_ned_m_s[None]).sum(axis=2)
-        closing_m_s = np.maximum((towards * vel_ned_m_s[:, None]).sum(axis=2) - comes_m_s, 0.0)
-        left_m = left_m - keep_m - damper.horizon_s * closing_m_s
-        most_m_s = damper.rate_1_s * left_m + np.minimum(comes_m_s, 0.0)
-        return towards, np.maximum(most_m_s, -damper.speed_limit_m_s)
 
 
 NOBODY = Intruders()
