@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from groundstation.core.motion import MovePlan
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.operator import LEADING, OperatorCommand, Order, parse_command
 from groundstation.mission.phases.come_down import SilentPhase
 from groundstation.mission.phases.machine import Machine
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.table import Event, refusal
 from groundstation.mission.team import Team
 from groundstation.mission.timing import vehicle_list

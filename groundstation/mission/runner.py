@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from groundstation.core.law import OwnCodeError
+from groundstation.core.phases import AIRBORNE_PHASES, FORMATION_PHASES, UNWATCHED_PHASES, Phase
 from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.blocks import Block
@@ -26,7 +27,6 @@ from groundstation.mission.flight.poses import Poses, out_of_sight
 from groundstation.mission.lookout import Lookout
 from groundstation.mission.orders import Orders
 from groundstation.mission.phases.machine import Machine
-from groundstation.mission.phases.phase import AIRBORNE_PHASES, FORMATION_PHASES, UNWATCHED_PHASES, Phase
 from groundstation.mission.phases.table import Event
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose

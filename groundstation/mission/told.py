@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.core.formation import Formation
+from groundstation.core.phases import Phase
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.check_table import CheckRow
 from groundstation.mission.ground.failsafe import FailsafePlan
 from groundstation.mission.phases.machine import Machine
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.team import Team
 from groundstation.mission.verdict import Figures, Note
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.phases import FORMATION_PHASES
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.records.replay import Flight
 
-STEPS = ("form", "hold", "move", "lead")
+_STEPS = frozenset(phase.value for phase in FORMATION_PHASES)
 _GRID_S = 0.05
 _WAY_S = 0.2  # positions nearer in time than that would add their noise to the way
 _GAP_S = 1.0  # a setpoint counts until the next one, and no longer than that
@@ -83,7 +84,7 @@ class Deviation:
 
 def begin_ns(flight: Flight) -> int:
     """When a flight began to form, or to fly its other steps; its first record where it tells no phases."""
-    return next((phase.start_ns for phase in flight.phases if phase.name in STEPS), flight.start_ns)
+    return next((phase.start_ns for phase in flight.phases if phase.name in _STEPS), flight.start_ns)
 
 
 def labels(flights: Sequence[Flight], names: Sequence[str]) -> list[str]:

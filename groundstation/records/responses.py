@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.core.phases import STEERED_PHASES
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Frame, message_id
 from groundstation.records.manifest import manifest_beside
@@ -19,7 +20,7 @@ from groundstation.records.replay import admission_of
 from groundstation.records.tlog import read_tlog
 from groundstation.records.tracks import setpoint_columns
 
-_STEERED = frozenset({"form", "hold", "move", "lead", "stop", "return"})
+_STEERED = frozenset(phase.value for phase in STEERED_PHASES)
 _GAP_NS = 400_000_000  # longer ones between two reports leave the velocity unknown
 _PAUSE_NS = 1_000_000_000  # without setpoints for that long the vehicle does not follow them
 

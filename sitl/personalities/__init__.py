@@ -13,14 +13,14 @@ from typing import TypeVar
 
 from sitl.estimator import GPS, MOCAP, NOISELESS, Noise
 from sitl.personality import Personality
-from sitl.profiles import CRAZYFLIE, Profile
+from sitl.profiles import Profile
 from sitl.streams import QUIET_RATES_HZ
 
 T = TypeVar("T")
 PERSONALITIES: dict[str, Personality] = {}
 """By name; the usual one first, then in the order of their names."""
 PROFILES: dict[str, Profile] = {}
-"""Ways of flying by name: of vehicles of any kind, and what the personalities bring along."""
+"""Ways of flying by name, as the personalities bring them along."""
 NOISES: dict[str, Noise] = {}
 """Errors of estimates by name."""
 RATES_HZ: dict[str, Mapping[str, float]] = {}
@@ -40,7 +40,6 @@ def discover() -> None:
             raise ValueError(f"personality {records[-1].name}: its folder is {found.name}; it needs the same name")
     for table in (PERSONALITIES, PROFILES, NOISES, RATES_HZ):
         table.clear()
-    PROFILES[CRAZYFLIE.name] = CRAZYFLIE
     NOISES.update(none=NOISELESS, mocap=MOCAP, gps=GPS)
     RATES_HZ["quiet"] = QUIET_RATES_HZ
     for record in sorted(records, key=lambda item: (not item.usual, item.name)):

@@ -26,9 +26,9 @@ from groundstation.app.order_socket import prepare_folder
 from groundstation.app.output import Output
 from groundstation.app.resources import find_config
 from groundstation.app.session import Session
+from groundstation.core.phases import Phase
 from groundstation.mavlink.codec import Encoder
 from groundstation.mission.operator import Order
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.reading import load_mission
 from sitl.world import World
 from tests.app.flights import Flight, pair

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from sitl.faults import Fault
 from sitl.world import World

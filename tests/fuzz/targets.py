@@ -28,6 +28,7 @@ from groundstation.app.resources import find_config
 from groundstation.app.session import Session
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml, validate
+from groundstation.core.phases import Phase
 from groundstation.design.designer import design
 from groundstation.design.store import load_formation, load_gains, save_gains
 from groundstation.links.tcp import TcpServerLink
@@ -37,7 +38,6 @@ from groundstation.mavlink.gate import Gate, Refused, SignedLink
 from groundstation.mavlink.keys import new_key, read_key, read_times
 from groundstation.mavlink.signing import SecretKey, Signing, timestamp_at
 from groundstation.mission.operator import parse_command
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.overrides import override_value
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.plan.schema import MissionSpec

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.core.phases import Phase
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, Fleet
 from groundstation.mission.flight.poses import Poses
@@ -15,7 +16,6 @@ from groundstation.mission.ground.still_check import StillCheck
 from groundstation.mission.monitors.findings import Reaction, Sight
 from groundstation.mission.monitors.positions import PoseJump
 from groundstation.mission.monitors.resting import Resting
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 from sitl.faults import Fault

@@ -56,7 +56,7 @@ class Team:
         for _ in range(round(limit_s / 0.02)):
             tick = self.flight.step(self.now_ns, self.poses(), absent)
             if tick.give_up or tick.follows is not None:
-                return tick.give_up or tick.follows or ""
+                return tick.give_up or (tick.follows.value if tick.follows else "")
             if follow:
                 self.vel = tick.vel_ned_m_s
                 self.pos = self.pos + 0.02 * self.vel

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.core import frames
+from groundstation.core.phases import Phase
 from groundstation.mavlink.codec import Frame, Splitters, decode
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, Fleet
@@ -18,7 +19,6 @@ from groundstation.mission.flight.landing import Around, Landing, landing_distan
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import enlist
 from sitl.world import Outgoing

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from groundstation.core.phases import Phase
 from groundstation.mission.operator import Order, parse_command
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.table import REFUSED, refusal
 
 IDS = [3, 5, 12]

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from groundstation.app.resources import packaged_configs
+from groundstation.core.phases import AIRBORNE_PHASES, Phase
 from groundstation.mission.operator import Order
 from groundstation.mission.phases.machine import Machine
-from groundstation.mission.phases.phase import AIRBORNE_PHASES, Phase
 from groundstation.mission.phases.state import Entry
 from groundstation.mission.phases.table import EVENT_OF_ORDER, REFUSED, TABLE, Afterwards, Answer, Event, page
 from groundstation.mission.plan.reading import load_mission

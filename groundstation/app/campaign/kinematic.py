@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from groundstation.app.campaign.cases import Case
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
@@ -71,7 +72,7 @@ def kinematic_time_to_form_s(case: Case) -> float:
     flight.next_step(now_ns, Poses(pos_ned_m, vel_ned_m_s, level, nobody))
     while True:
         tick = flight.step(now_ns, Poses(pos_ned_m, vel_ned_m_s, level, nobody))
-        if math.isfinite(figures.time_to_form_s) or tick.give_up or tick.follows == "return":
+        if math.isfinite(figures.time_to_form_s) or tick.give_up or tick.follows is Phase.RETURN:
             return figures.time_to_form_s
         vel_ned_m_s = tick.vel_ned_m_s
         pos_ned_m = pos_ned_m + vel_ned_m_s * (period_ns / SECOND_NS)

@@ -15,8 +15,8 @@ import numpy as np
 from groundstation.app.keyboard import KeyDialogue
 from groundstation.app.loop import Interrupts
 from groundstation.app.session import Session
+from groundstation.core.phases import Phase
 from groundstation.mavlink.codec import Encoder
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 from sitl.faults import Fault

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from groundstation.app.console.guard import Role
+from groundstation.core.phases import Phase
 from groundstation.mission.operator import Order
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.table import REFUSED
 
 

@@ -37,8 +37,8 @@ from groundstation.app.order_client import runtime_folder
 from groundstation.app.session import Session
 from groundstation.app.tick_times import TickTimes
 from groundstation.core import frames
+from groundstation.core.phases import Phase
 from groundstation.mavlink.vehicle import UNKNOWN
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 

@@ -16,6 +16,7 @@ from groundstation.core.control import Task, auto_control_gain, rate_for_auto_ga
 from groundstation.core.formation import Formation
 from groundstation.core.gridlock import GridlockParams, Gridlocks, Sensed
 from groundstation.core.metrics import formation_error_m, free_scale_error_m, vertical_orientation
+from groundstation.core.phases import Phase
 from groundstation.core.places import own_places
 from groundstation.core.quick import finite_rows, some
 from groundstation.core.reduction import task_for_those_left
@@ -43,12 +44,12 @@ class FormationTick:
 
     Attributes:
         vel_ned_m_s: setpoints, shape (n, 3).
-        follows: name of the phase that follows, None to go on; "return" when all steps are done.
+        follows: the phase that follows, None to go on; RETURN when all steps are done.
         give_up: why the mission cannot go on; empty while it can.
     """
 
     vel_ned_m_s: FloatArray
-    follows: str | None = None
+    follows: Phase | None = None
     give_up: str = ""
 
 
@@ -144,15 +145,15 @@ class FormationFlight:
         """Everybody gathers there, shape (n, 3), in place of above its pad."""
         self.gather_ned_m = places_ned_m
 
-    def next_step(self, now_ns: int, poses: Poses) -> str:
-        """Begins the next step of the mission and returns the name of its phase; "return" after the last one."""
+    def next_step(self, now_ns: int, poses: Poses) -> Phase:
+        """Begins the next step of the mission and returns its phase; RETURN after the last one."""
         now = self._now
         another = now.advance()
         self._gridlocks.forget()
         step = now.step
         if step is None:
             self._doing = None
-            return "return"
+            return Phase.RETURN
         if another:
             self._give_roles(poses)
         if step.form is not None:

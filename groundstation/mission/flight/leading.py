@@ -14,6 +14,7 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.motion import MovePlan
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.moving import Moving, leads_astray
 from groundstation.mission.flight.step import Now, StepFlight, StepTick
@@ -50,7 +51,7 @@ class Leading(StepFlight):
         step: for how long, and between which sizes.
     """
 
-    phase = "lead"
+    phase = Phase.LEAD
 
     def __init__(self, flown: UnderWay, now_ns: int, step: LeadStep) -> None:
         super().__init__(flown, now_ns)

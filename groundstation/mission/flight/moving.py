@@ -12,6 +12,7 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.motion import MovePlan
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.free_size import Sizes, missed
 from groundstation.mission.flight.step import HOLD_TOLERANCE, Now, StepFlight, StepTick
@@ -47,7 +48,7 @@ class Moving(StepFlight):
         way: shares of it at which it has to lie inside the fence.
     """
 
-    phase = "move"
+    phase = Phase.MOVE
 
     def __init__(self, flown: UnderWay, now_ns: int, move: MovePlan, way: Sequence[float] = (1.0,)) -> None:
         super().__init__(flown, now_ns)

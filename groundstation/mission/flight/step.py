@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from groundstation.core.motion import Motion
+from groundstation.core.phases import Phase
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.free_size import Sizes, sizes_of, stands_at
 from groundstation.mission.flight.poses import Poses
@@ -80,8 +81,8 @@ class StepFlight:
         now_ns: when it begins.
     """
 
-    phase: ClassVar[str]
-    """Name of the phase in which it is flown."""
+    phase: ClassVar[Phase]
+    """In which it is flown."""
     swaps: ClassVar[bool] = False
     """Whoever is locked in may swap roles or go round others."""
     formed: ClassVar[bool] = True

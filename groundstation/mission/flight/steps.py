@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mission.flight.leading import Leading
 from groundstation.mission.flight.moving import Moving
@@ -32,7 +33,7 @@ _PLACE_M, _OF_MARGIN = 0.15, 0.35
 class Forming(StepFlight):
     """Until every distance has been within its tolerance for a second."""
 
-    phase = "form"
+    phase = Phase.FORM
     swaps = True
 
     def __init__(self, flown: UnderWay, now_ns: int, step: FormStep) -> None:
@@ -64,7 +65,7 @@ class Forming(StepFlight):
 class Holding(StepFlight):
     """Keeps the formation for its time."""
 
-    phase = "hold"
+    phase = Phase.HOLD
 
     def __init__(self, flown: UnderWay, now_ns: int, step: HoldStep) -> None:
         super().__init__(flown, now_ns)
@@ -103,7 +104,7 @@ class _ToPlaces(StepFlight):
 class Hovering(_ToPlaces):
     """Stays where it is for its time."""
 
-    phase = "hold"
+    phase = Phase.HOLD
 
     def __init__(self, flown: UnderWay, now_ns: int, step: HoverStep) -> None:
         super().__init__(flown, now_ns)
@@ -119,7 +120,7 @@ class Hovering(_ToPlaces):
 class Going(_ToPlaces):
     """Flies through places, the last of which is reached when everybody has been there for a second."""
 
-    phase = "move"
+    phase = Phase.MOVE
 
     def __init__(self, flown: UnderWay, now_ns: int, step: GoToStep | WaypointsStep) -> None:
         super().__init__(flown, now_ns)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from groundstation.core.phases import Phase
 from groundstation.core.types import BoolArray
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.phases.on_the_ground import ArmPhase
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
 from groundstation.mission.reasons.blame import HELP_IN_THE_AIR, still_flying

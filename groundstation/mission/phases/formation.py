@@ -1,33 +1,30 @@
-"""The phases that are flown in formation: form, hold, move, lead."""
+"""The phases in which the steps of the mission are flown: one class for all of them."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.phases import Phase
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.phases.phase import Phase
-from groundstation.mission.phases.state import PhaseState, Step
-from groundstation.mission.phases.table import Event
-from groundstation.mission.team import PAD_TOLERANCE_M
-
-_EVENTS = {
-    "form": Event.NEXT_FORM,
-    "hold": Event.NEXT_HOLD,
-    "move": Event.NEXT_MOVE,
-    "lead": Event.NEXT_LEAD,
-    "return": Event.STEPS_DONE,
-}
-
-
-def event_of(follows: str) -> Event:
-    """What it is called that a phase of this name is the next of the mission."""
-    return _EVENTS[follows]
+from groundstation.mission.phases.state import Entry, PhaseState, Step
+from groundstation.mission.phases.table import NEXT, Event
+from groundstation.mission.team import PAD_TOLERANCE_M, Team
 
 
 class FormationPhase(PhaseState):
-    """One step of the mission."""
+    """One step of the mission.
+
+    Args:
+        phase: in which it is flown.
+        team: what it works with.
+        entry: how it was entered.
+    """
 
     steers = streams = True
+
+    def __init__(self, phase: Phase, team: Team, entry: Entry) -> None:
+        super().__init__(team, entry)
+        self.phase = phase
 
     def stood_still(self, held_ns: int) -> None:
         """The operator held it for a while."""
@@ -46,33 +43,9 @@ class FormationPhase(PhaseState):
             team.verdict.abort(tick.give_up)
             event = Event.GIVE_UP
         elif tick.follows is not None:
-            event = event_of(tick.follows)
+            event = NEXT[tick.follows]
         out = ~team.roster.in_formation
         if not out.any():
             return Step(tick.vel_ned_m_s, event)
         apart = team.apart.step(now_ns, poses, formation.gather_ned_m, team.tolerance_m(PAD_TOLERANCE_M))
         return Step(np.where(out[:, None], apart, tick.vel_ned_m_s), event)
-
-
-class FormPhase(FormationPhase):
-    """Until every distance is within its tolerance."""
-
-    phase = Phase.FORM
-
-
-class HoldPhase(FormationPhase):
-    """Keeps the formation."""
-
-    phase = Phase.HOLD
-
-
-class MovePhase(FormationPhase):
-    """Moves, turns and scales it."""
-
-    phase = Phase.MOVE
-
-
-class LeadPhase(FormationPhase):
-    """Keeps it, and moves it as the operator says."""
-
-    phase = Phase.LEAD

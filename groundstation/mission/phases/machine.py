@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
+from groundstation.core.phases import FORMATION_PHASES, Phase
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.phases.come_down import DonePhase, LandPhase, SilentPhase
 from groundstation.mission.phases.come_home import ReturnPhase
-from groundstation.mission.phases.formation import FormPhase, HoldPhase, LeadPhase, MovePhase
+from groundstation.mission.phases.formation import FormationPhase
 from groundstation.mission.phases.on_the_ground import ArmPhase, ConnectPhase
-from groundstation.mission.phases.phase import FORMATION_PHASES, Phase
 from groundstation.mission.phases.stand import PausePhase, StopPhase
 from groundstation.mission.phases.state import Entry, PhaseState
 from groundstation.mission.phases.table import TABLE, Afterwards, Answer, Event
@@ -21,10 +22,10 @@ from groundstation.mission.team import Team
 _MAKERS: dict[Phase, Callable[[Team, Entry], PhaseState]] = {
     kind.phase: kind
     for kind in (
-        ConnectPhase, TakeOverPhase, ArmPhase, TakeoffPhase, FormPhase, HoldPhase, MovePhase, LeadPhase, StopPhase,
-        PausePhase, ReturnPhase, LandPhase, SilentPhase, DonePhase,
+        ConnectPhase, TakeOverPhase, ArmPhase, TakeoffPhase, StopPhase, PausePhase, ReturnPhase,
+        LandPhase, SilentPhase, DonePhase,
     )
-}  # fmt: skip
+} | {phase: partial(FormationPhase, phase) for phase in FORMATION_PHASES}  # fmt: skip
 
 
 class Machine:

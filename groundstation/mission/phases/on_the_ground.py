@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.phases import Phase
 from groundstation.mavlink.commands import Outcome
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.ground.preflight import REASONS_NS
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team

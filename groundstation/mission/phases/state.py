@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import Outcome
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team
 
@@ -54,7 +54,7 @@ class PhaseState:
         since_ns: when it was entered; later by as long as the operator held it.
     """
 
-    phase: ClassVar[Phase]
+    phase: Phase
     steers: ClassVar[bool] = False
     """It flies by poses: where those cannot be worked out it is not stepped."""
     streams: ClassVar[bool] = False

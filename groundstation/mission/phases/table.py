@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from groundstation.core.phases import Phase
 from groundstation.mission.operator import LEADING, Order
-from groundstation.mission.phases.phase import Phase
 
 
 class Event(Enum):
@@ -40,6 +40,16 @@ class Event(Enum):
     ORDER_LEAD = "move, turn, scale, stay, next"
     KILL_ALL = "kill all"
     SILENCE = "setpoints end"
+
+
+NEXT = {
+    Phase.FORM: Event.NEXT_FORM,
+    Phase.HOLD: Event.NEXT_HOLD,
+    Phase.MOVE: Event.NEXT_MOVE,
+    Phase.LEAD: Event.NEXT_LEAD,
+    Phase.RETURN: Event.STEPS_DONE,
+}
+"""What it is called that the mission goes on with a phase."""
 
 
 class Answer(Enum):
@@ -75,14 +85,7 @@ _UP: dict[Event, Next] = _ALWAYS | {
     Event.ORDER_RETURN: Phase.STOP,
     Event.ORDER_LAND: Phase.LAND,
 }
-_STEP: dict[Event, Next] = _UP | {
-    Event.NEXT_FORM: Phase.FORM,
-    Event.NEXT_HOLD: Phase.HOLD,
-    Event.NEXT_MOVE: Phase.MOVE,
-    Event.NEXT_LEAD: Phase.LEAD,
-    Event.STEPS_DONE: Phase.RETURN,
-    Event.GO_ON_WITHOUT: Phase.FORM,
-}
+_STEP: dict[Event, Next] = _UP | {event: phase for phase, event in NEXT.items()} | {Event.GO_ON_WITHOUT: Phase.FORM}
 _COMING_BACK: dict[Event, Next] = _UP | dict.fromkeys(
     (Event.GIVE_UP, Event.GIVE_UP_NOW, Event.FAULT, Event.ORDER_RETURN), _STAY
 )

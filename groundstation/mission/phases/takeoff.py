@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.phases import Phase
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.phases.formation import event_of
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
-from groundstation.mission.phases.table import Event
+from groundstation.mission.phases.table import NEXT, Event
 from groundstation.mission.team import Team
 from groundstation.mission.timing import SECOND_NS, There
 
@@ -48,7 +47,7 @@ class TakeoffPhase(PhaseState):
         there = self._there(to_go_m, team.tolerance_m(_TOLERANCE_M), now_ns)
         event = None
         if there.all():
-            event = event_of(team.formation.next_step(now_ns, poses))
+            event = NEXT[team.formation.next_step(now_ns, poses)]
         elif now_ns - self.since_ns >= team.plan.spec.takeoff.timeout_s * SECOND_NS:
             said = team.words.by_vehicle()
             late = ", ".join(

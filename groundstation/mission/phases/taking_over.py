@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.phases import Phase
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.take_over import TakeOver
-from groundstation.mission.phases.phase import Phase
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team

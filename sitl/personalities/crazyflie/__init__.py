@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sitl.personalities.crazyflie.autopilot import Crazyflie
 from sitl.personalities.crazyflie.params import crazyflie_params
+from sitl.personalities.crazyflie.profiles import CRAZYFLIE
 from sitl.personality import Personality, StartUp
 
 __all__ = ["PERSONALITY"]
@@ -29,6 +30,7 @@ PERSONALITY = Personality(
         deaf_s=(0.0, 0.0),
     ),
     profile="crazyflie",
+    profiles=(CRAZYFLIE,),
     streams="silent",
     rates_hz={"silent": {}},
     first_port=19850,

@@ -1,4 +1,4 @@
-"""What the team may be doing."""
+"""What the team may be doing. Every log names its phases, so that all who fly, show and read flights know them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ class Phase(Enum):
     DONE = "done"
 
 
-AIRBORNE_PHASES = frozenset(
-    {Phase.TAKEOFF, Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.LEAD, Phase.STOP, Phase.PAUSE, Phase.RETURN, Phase.LAND}
-)
+FORMATION_PHASES = (Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.LEAD)
+"""Steps of the mission, each of which is a phase of its own or is flown in one of these."""
+STEERED_PHASES = frozenset({*FORMATION_PHASES, Phase.STOP, Phase.RETURN})
+"""Everybody flies what the ground station works out anew in every tick."""
+AIRBORNE_PHASES = STEERED_PHASES | {Phase.TAKEOFF, Phase.PAUSE, Phase.LAND}
 UNWATCHED_PHASES = frozenset({Phase.TAKEOVER, Phase.SILENT})
 """In the air perhaps, and nobody can be told anything by what monitors find."""
-FORMATION_PHASES = frozenset({Phase.FORM, Phase.HOLD, Phase.MOVE, Phase.LEAD})
