@@ -134,6 +134,27 @@ def test_four_in_a_column_land_on_their_pads_where_the_fence_has_no_place_for_al
     assert off_pad_m.max() < 0.2
 
 
+@pytest.mark.parametrize("autopilots", [("px4", "arducopter"), ("arducopter", "px4")])
+def test_one_that_does_not_take_land_is_kept_above_its_pad_until_it_does(autopilots: tuple[str, str]) -> None:
+    """Told to stand still it would drift 2 to 4 m in a minute, over others too, and land there by its failsafe."""
+    plan = pair("steps=[{hover: {seconds: 1}}]", "rate_hz=10", autopilots=autopilots)
+    off_m, struck = list[float](), list[int]()
+
+    def strike(flight: Flight) -> None:
+        if flight.runner.phase is Phase.RETURN and not struck:
+            struck.append(flight.now_ns)
+            flight.world.inject(Fault("commands_ignored", for_s=60.0, vehicles=(1,)))
+        place_m = flight.world.truth.pos_enu_m[0]
+        if flight.runner.phase is Phase.LAND and place_m[2] > 1.0:
+            off_m.append(float(np.linalg.norm(place_m[:2] - plan.pads_enu_m[0, :2])))
+
+    flight, truth = _fly(plan, seed=2, strike=strike, outcome="completed")
+    assert len(off_m) > 500, "it landed at once"
+    assert max(off_m) < 0.8
+    assert truth.apart_m.min() >= plan.spec.avoidance.radius_m
+    assert "no answer to 4 tries" in " ".join(flight.texts("info"))
+
+
 @pytest.mark.parametrize(("vehicle", "after_s"), [(1, 1.0), (1, 4.0), (2, 1.0)])
 def test_a_motor_that_fails_while_landing_is_told_and_the_mission_not_completed(vehicle: int, after_s: float) -> None:
     struck: list[int] = []

@@ -30,6 +30,7 @@ _STILL_ARMED_NS = 5 * SECOND_NS  # autopilots disarm by themselves two seconds a
 LOST_S = 10.0
 """Who has said nothing for so long is not waited for."""
 _MISSED_M = 0.2  # by which a place to come down on may be missed, where an obstacle is beside it
+_DEAF_NS = 5 * SECOND_NS // 2  # two heartbeats after it was told
 _HURRY = 0.5  # of the battery at which a vehicle lands where it is: it waits for no place any more
 
 
@@ -163,6 +164,22 @@ class Landing:
                 self._commands.request(vehicle, autopilot.land())
                 roster.tell_to_land(vehicle, now_ns)
                 self._asking.asked(vehicle, now_ns)
+
+    def deaf(self, now_ns: int) -> BoolArray:
+        """Vehicles that were told to land and go on following our setpoints in the air, shape (n,).
+
+        They are kept where they should come down: standing still by velocity alone they would drift, over others too,
+        on which their own failsafe would land them in the end.
+        """
+        fleet, roster = self._fleet, self._roster
+        told = roster.told_to_land & roster.ours
+        if not told.any():
+            return told
+        untaken: BoolArray = told & (fleet.heartbeat_ns - roster.told_ns >= _DEAF_NS) & self._standing.airborne(now_ns)
+        for vehicle in untaken.nonzero()[0].tolist():
+            mode = int(fleet.custom_mode[vehicle])
+            untaken[vehicle] = self._plan.autopilots[vehicle].is_streaming_mode(mode)
+        return untaken
 
     def standing(self, now_ns: int) -> BoolArray:
         """Vehicles that stand for good, shape (n,): who flies low keeps clear of them, they of nobody."""
