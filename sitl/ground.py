@@ -11,6 +11,7 @@ from sitl.motion import Commands, Health, Motion
 
 _CONTACT_M = 1e-9
 _HARD_M_S, _LEANING_UP = 1.5, math.cos(math.radians(55.0))
+_LIES_UP = np.array([[math.sin(math.radians(80.0))], [0.0], [math.cos(math.radians(80.0))]])  # on its side
 _PAD_REACH_M = 0.4  # a raised pad carries its vehicle that far from its middle
 
 
@@ -39,7 +40,8 @@ class Ground:
             integral: of their velocity loops, changed, shape (3, n).
             health: who tumbles, and comes down leaning or fast, stays where it is. A motor that fails a hand's breadth
                 above the ground does no harm: the vehicle is down before it leans.
-            commands: who wants to leave the ground; who tumbles then turns over.
+            commands: who wants to leave the ground; who tumbles then turns over, and lies on its side as its
+                attitude tells.
         """
         pos, vel = motion.pos_enu_m, motion.vel_enu_m_s
         below = pos[2] <= self.height_m + _CONTACT_M
@@ -69,6 +71,8 @@ class Ground:
             if health.any_tumbling:
                 lifts = commands.flying & (commands.vel_sp_enu_m_s[2] >= 0.0)
                 motion.crashed |= health.tumbling & below & lifts
+            if b"\1" in motion.crashed.tobytes():
+                np.copyto(motion.up_enu, _LIES_UP, where=below & motion.crashed)
         if self._floor_m is not None:
             self._find(motion)
 

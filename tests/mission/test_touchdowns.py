@@ -40,11 +40,13 @@ class Flight:
         findings: what was told.
         dynamics: the truth.
         early: of what was told, what was told before it had come to the ground.
+        seen_m_s: the fastest that it reported itself to sink.
     """
 
     findings: list[Finding]
     dynamics: Dynamics
     early: list[Finding]
+    seen_m_s: float
 
     @property
     def hit_m_s(self) -> float:
@@ -108,7 +110,7 @@ def _comes_down(
     fleet.pos_local_ned_m[:] = fleet.vel_ned_m_s[:] = 0.0
     watch, findings, early = Touchdowns(plan), list[Finding](), list[Finding]()
     now_ns, told_ns, failed_ns = START_NS, START_NS + round(phase / pose_hz * SECOND_NS), 0
-    stood_ns = 0
+    stood_ns, seen_m_s = 0, 0.0
     while now_ns < START_NS + 5 * SECOND_NS:
         dynamics.step()
         now_ns += STEP_NS
@@ -127,6 +129,7 @@ def _comes_down(
             fleet.pos_local_ned_m[0] = [north, east, -up]
             east, north, up = motion.vel_enu_m_s[:, 0] + noise_m_s * rng.standard_normal(3)
             fleet.vel_ned_m_s[0] = [north, east, -up]
+            seen_m_s = max(seen_m_s, -float(up))
             half = 0.5 * np.arccos(np.clip(motion.up_enu[2, 0], -1.0, 1.0))
             half += 0.0 if motion.on_ground[0] else 0.5 * np.radians(wind_deg)
             fleet.quat_ned_from_frd[0] = [np.cos(half), np.sin(half), 0.0, 0.0]
@@ -137,7 +140,7 @@ def _comes_down(
             findings += told
             if motion.touchdown_m_s[0] == 0.0:
                 early += told
-    return Flight(findings, dynamics, early)
+    return Flight(findings, dynamics, early, seen_m_s)
 
 
 def _sight(plan: MissionPlan, fleet: Fleet, now_ns: int, *, ours: bool, excused: bool) -> Sight:
@@ -155,6 +158,7 @@ def _sight(plan: MissionPlan, fleet: Fleet, now_ns: int, *, ours: bool, excused:
 
 @settings(max_examples=60, deadline=None)
 @example(height_m=0.35, share=0.515, pose_hz=20.0, phase=0.5, seed=1, tumbles=True, fails_s=3.0, tells_after_s=1.0)
+@example(height_m=0.21875, share=0.375, pose_hz=10.0, phase=0.5, seed=0, tumbles=True, fails_s=1.0, tells_after_s=None)
 @example(height_m=0.25, share=0.3, pose_hz=10.0, phase=0.9, seed=2, tumbles=False, fails_s=3.0, tells_after_s=1.0)
 @example(height_m=0.3, share=0.3, pose_hz=20.0, phase=0.2, seed=3, tumbles=False, fails_s=0.28, tells_after_s=None)
 @example(height_m=0.6, share=0.9, pose_hz=50.0, phase=0.2, seed=4, tumbles=True, fails_s=4.0, tells_after_s=1.0)
@@ -186,7 +190,10 @@ def test_a_touchdown_harder_than_a_landing_is_told_and_no_other(
     )  # fmt: skip
     motion = flight.dynamics.motion
     assume(motion.on_ground[0])
-    if flight.hit_m_s > TOUCHDOWN_MAX_M_S or (motion.crashed[0] and tells_after_s is not None):
+    # What falls between two reports and never tells that it stands shows in its attitude alone, which others watch.
+    stops_m_s = 12.0 / pose_hz + 0.1  # what rotors could have taken away between two reports
+    shown = tells_after_s is not None or flight.seen_m_s > max(TOUCHDOWN_MAX_M_S / 2, stops_m_s)
+    if shown and (flight.hit_m_s > TOUCHDOWN_MAX_M_S or (motion.crashed[0] and tells_after_s is not None)):
         assert flight.findings, flight.hit_m_s
     elif flight.hit_m_s < _SOFT_M_S and not tumbles:
         assert flight.findings == []

@@ -165,6 +165,19 @@ def test_a_motor_that_fails_a_hand_above_the_ground_lets_it_down_before_it_leans
     run(dynamics, 1.0)
     assert dynamics.motion.on_ground[0]
     assert bool(dynamics.motion.crashed[0]) is crashes
+    # What has crashed lies on its side, and its attitude tells so; what stands is level.
+    assert math.degrees(math.acos(dynamics.motion.up_enu[2, 0])) == pytest.approx(80.0 if crashes else 0.0)
+
+
+def test_one_that_lifts_off_with_a_broken_motor_turns_over_on_its_pad() -> None:
+    dynamics = flying("px4_quad")
+    dynamics.motion.pos_enu_m[2, 0] = 0.0
+    dynamics.health.tumble(0, True)
+    dynamics.health.thrust_share[0] = 0.2
+    dynamics.commands.vel_sp_enu_m_s[2] = 0.5
+    run(dynamics, 1.0)
+    assert dynamics.motion.crashed[0]
+    assert dynamics.motion.up_enu[2, 0] < 0.5
 
 
 def test_wind_pushes_and_the_integral_holds_against_it() -> None:
