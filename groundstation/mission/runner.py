@@ -221,7 +221,7 @@ class Runner(Told):
             return team.station.transmit_poses()  # without which they could not even come down by themselves
         due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
         # Who waits to hear us follows the first setpoint that comes through, up to a second before we know.
-        still = team.board.hold | team.board.waits | ~team.steerable(now_ns)
+        still = team.board.hold | team.board.waits | ~team.steerable
         self._sent_ned_m_s = np.where(still[:, None], 0.0, team.board.speeds.told(velocity_ned_m_s))
         steered = np.asarray(team.roster.steered & state.streams)
         try:

@@ -102,9 +102,10 @@ class Team:
         board = self.board
         return np.asarray(board.hold | board.blind | board.foreign | ~self.roster.follows)
 
-    def steerable(self, now_ns: int) -> BoolArray:
+    @property
+    def steerable(self) -> BoolArray:
         """Vehicles that should do what setpoints say, or do it though they were told to land, shape (n,)."""
-        return np.asarray(self.roster.follows | self.landing.deaf(now_ns))
+        return np.asarray(self.roster.follows | self.landing.deaf)
 
     def tolerance_m(self, least_m: float) -> float:
         """How near to a place counts as there: the least, or what positions may be off, and what moves it about."""

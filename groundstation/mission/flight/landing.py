@@ -91,6 +91,9 @@ class Landing:
 
     Attributes:
         spots: where everybody comes down.
+        deaf: who was told to land and goes on following our setpoints in the air, shape (n,). They are kept where they
+            should come down: standing still by velocity alone they would drift, over others too, on which their own
+            failsafe would land them in the end.
     """
 
     def __init__(
@@ -111,6 +114,7 @@ class Landing:
         self._commands = commands
         self._standing = standing
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
+        self.deaf: BoolArray = np.zeros(n, dtype=np.bool_)
         self._on_ground = HeldEach(n)
         self._said_yes: set[tuple[int, str]] = set()
         self._told: tuple[tuple[int, ...], BoolArray] = ((), np.zeros(n, dtype=np.bool_))  # modes, and which land
@@ -148,6 +152,7 @@ class Landing:
         """
         fleet, roster = self._fleet, self._roster
         on_ground = self._standing.at(now_ns)
+        self.deaf = self._goes_on_following(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         ready = self.spots.step(now_ns, self._scene(around, on_ground))
         for vehicle in (roster.lands & fleet.armed).nonzero()[0].tolist():
@@ -165,12 +170,8 @@ class Landing:
                 roster.tell_to_land(vehicle, now_ns)
                 self._asking.asked(vehicle, now_ns)
 
-    def deaf(self, now_ns: int) -> BoolArray:
-        """Vehicles that were told to land and go on following our setpoints in the air, shape (n,).
-
-        They are kept where they should come down: standing still by velocity alone they would drift, over others too,
-        on which their own failsafe would land them in the end.
-        """
+    def _goes_on_following(self, now_ns: int) -> BoolArray:
+        """Who was told to land, and by its heartbeats is still in the mode that follows us, shape (n,)."""
         fleet, roster = self._fleet, self._roster
         told = roster.told_to_land & roster.ours
         if not told.any():

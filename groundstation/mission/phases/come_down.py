@@ -118,7 +118,7 @@ class LandPhase(_ComingDown):
         else:
             team.landing.want(range(team.plan.size), now_ns)
         event = Event.DOWN if self._over(now_ns, poses) else None
-        if not team.steerable(now_ns).any():
+        if not team.steerable.any():
             return Step(event=event)  # the autopilots land by themselves, nobody is left to be steered
         places_ned_m = team.places_ned_m(team.formation.gather_ned_m)
         if team.roster.elsewhere.any():  # some have a way to go, and others may be in it
