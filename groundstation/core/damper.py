@@ -23,12 +23,13 @@ parameters say.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import nnls
 
 from groundstation.core import frames
-from groundstation.core.quick import between, every
+from groundstation.core.quick import between, every, some
 from groundstation.core.regions import SafetyRegion, SafetySphere, rot_level_from_flu
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews
@@ -90,12 +91,12 @@ class DamperParams:
         region = self.region or SafetySphere(self.radius_m, self.radius_m)
         return region.grown(self.margin_m)
 
-    @property
+    @cached_property
     def horizon_s(self) -> float:
         """T: how far ahead the measured closing speed is held against the pair."""
         return max(self.lag_s, self.speed_limit_m_s / self.accel_limit_m_s2) + self.delay_s
 
-    @property
+    @cached_property
     def rate_1_s(self) -> float:
         """alpha: how fast the remaining distance may be used up.
 
@@ -111,7 +112,7 @@ class DamperParams:
         """Product alpha (T / tau) (delay + tick), T / tau left out without lag: at most 1/e, to rounding."""
         return self.rate_1_s * self._stale_s
 
-    @property
+    @cached_property
     def _stale_s(self) -> float:
         """How old a bound is, stretched by T / tau: h may fall that much faster than it is used up."""
         stretch = self.horizon_s / self.lag_s if self.lag_s > 0.0 else 1.0
@@ -182,9 +183,11 @@ def damp(
     x, y, z = vel_flu_m_s[:, None, 0], vel_flu_m_s[:, None, 1], vel_flu_m_s[:, None, 2]
     along = normals[..., 0] * x + normals[..., 1] * y + normals[..., 2] * z
     broken = along > bounds
-    changed = np.asarray(broken.any(axis=1), dtype=np.bool_)
     vel = vel_flu_m_s.copy()
     held, infeasible = np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_)
+    if not some(broken):
+        return Damped(vel, held.copy(), held, infeasible, broken[:, : views.team_size])
+    changed = np.asarray(broken.any(axis=1), dtype=np.bool_)
     for i in changed.nonzero()[0]:
         wanted = np.sqrt(float(vel[i] @ vel[i]))
         # While standing still is allowed the answer is no faster than the wish: wider bounds cannot matter.

@@ -110,6 +110,25 @@ def rot_ned_from_frd(quat_ned_from_frd: FloatArray) -> FloatArray:
     return np.asarray(rot.reshape(*quat.shape[:-1], 3, 3), dtype=np.float64)
 
 
+def down_ned(quat_ned_from_frd: FloatArray) -> FloatArray:
+    """The vehicles' own downward axes: the last columns of ``rot_ned_from_frd``, to the bit.
+
+    Args:
+        quat_ned_from_frd: w x y z, shape (n, 4), none of them zero or not finite.
+
+    Returns:
+        Unit vectors, NED, shape (n, 3).
+    """
+    w, x, y, z = quat_ned_from_frd.T
+    xx, yy = x * x, y * y
+    twice = 2.0 / (w * w + xx + yy + z * z)
+    down = np.empty((len(quat_ned_from_frd), 3))
+    down[:, 0] = twice * (x * z + w * y)
+    down[:, 1] = twice * (y * z - w * x)
+    down[:, 2] = 1.0 - twice * (xx + yy)
+    return down
+
+
 def rot_ned_from_flu(quat_ned_from_frd: FloatArray) -> FloatArray:
     """Makes the matrices that take an agent's own tilted frame FLU (z up) to NED.
 
@@ -159,4 +178,6 @@ def rotate(rot_to_from: FloatArray, vector_from: FloatArray) -> FloatArray:
 
 def rotate_back(rot_to_from: FloatArray, vector_to: FloatArray) -> FloatArray:
     """Applies the inverse rotations: ``vector_from = rot_to_from.T @ vector_to``; shapes as in `rotate`."""
-    return rotate(np.swapaxes(rot_to_from, -1, -2), vector_to)
+    x, y, z = vector_to[..., 0:1], vector_to[..., 1:2], vector_to[..., 2:3]
+    vector_from: FloatArray = rot_to_from[..., 0, :] * x + rot_to_from[..., 1, :] * y + rot_to_from[..., 2, :] * z
+    return vector_from

@@ -25,6 +25,7 @@ import numpy as np
 from groundstation.core.detour import back_off, way_round
 from groundstation.core.obstacles import Obstacles
 from groundstation.core.places import Places
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _IN_THE_WAY = 0.3  # share of the last moments in which somebody stood in the way, from which it counts
@@ -159,7 +160,7 @@ class Gridlocks:
         wish = np.full((self._n, 3), np.nan)
         tick_s, reach_m = self.params.tick_s, 0.25 * self.params.keep_out_m
         self._left_s = np.maximum(self._left_s - tick_s, 0.0)
-        for i in np.flatnonzero(self.detours):
+        for i in self.detours.nonzero()[0]:
             way = self._ways[i] - np.nan_to_num(vel_m_s[i]) * tick_s
             # A corner counts as reached early, the end when it is near.
             while len(way) > 1 and float(np.linalg.norm(way[0])) < 2.0 * reach_m:
@@ -212,7 +213,7 @@ class Gridlocks:
         asks |= asks.T
         may = may & (self._pause_s == 0.0)
         asks &= may[:, None] & may[None] & (self._undo_s == 0.0) & sensed.visible & sensed.visible.T
-        if not asks.any():
+        if not some(asks):
             return []
         rel = np.where(sensed.visible[..., None], sensed.rel_m, 0.0)
         dot = (rel * places.wanted_m).sum(axis=2)

@@ -8,9 +8,11 @@ autopilot; whoever calls decides what is sent instead. Order: fence, acceleratio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from groundstation.core import frames
 from groundstation.core.quick import between, every, norms
 from groundstation.core.types import FloatArray
 
@@ -36,6 +38,12 @@ class Fence:
                 f"fence: every entry of min {self.min_team_ned_m.tolist()} must be below max "
                 f"{self.max_team_ned_m.tolist()} (NED)"
             )
+
+    @cached_property
+    def corners_enu_m(self) -> tuple[FloatArray, FloatArray]:
+        """Its lowest and its highest corner, ENU, shape (3,) each."""
+        corners = [frames.enu_from_ned(corner) for corner in (self.min_team_ned_m, self.max_team_ned_m)]
+        return np.minimum(*corners), np.maximum(*corners)
 
     @staticmethod
     def from_enu(min_team_enu_m: FloatArray, max_team_enu_m: FloatArray) -> Fence:

@@ -80,4 +80,6 @@ def own_places(
 def _turned(turn: FloatArray, vector_m: FloatArray) -> FloatArray:
     """Turns vectors about z by unit complex numbers."""
     level = turn * (vector_m[..., 0] + 1j * vector_m[..., 1])
-    return np.stack([level.real, level.imag, np.broadcast_to(vector_m[..., 2], level.shape)], axis=-1)
+    turned = np.empty((*level.shape, 3))
+    turned[..., 0], turned[..., 1], turned[..., 2] = level.real, level.imag, vector_m[..., 2]
+    return turned

@@ -44,7 +44,7 @@ def finite_rows(values: FloatArray) -> BoolArray:
     """Which rows are numbers throughout: ``np.isfinite(values).all(axis=1)``, shape (k, m) to (k,)."""
     finite: BoolArray = np.isfinite(values)
     if every(finite):
-        return np.ones(len(finite), dtype=np.bool_)
+        return finite[:, 0].copy()  # all of it is true
     return np.asarray(finite.all(axis=1))
 
 

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from groundstation.core.quick import between, finite_rows, norms
+from groundstation.core.quick import between, finite_rows, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 
 _RATE_1_S, _DAMPING = 3.0, 0.7
@@ -84,7 +84,9 @@ class Speeds:
         self._counted_s = np.where(going, self._counted_s + passed_s, self._counted_s)
         share = passed_s / between(self._counted_s, passed_s, _OVER_S)
         self._square += np.where(going, share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
-        self.forget(self._gap_s > _GAP_S)
+        gone = self._gap_s > _GAP_S
+        if some(gone):
+            self.forget(gone)
         self.rms_m_s = np.where(self._counted_s >= _ENOUGH_S, np.sqrt(self._square), 0.0)
         self.share = between((self.rms_m_s - AGREES_M_S) / (DISAGREES_M_S - AGREES_M_S), 0.0, 1.0)
 

@@ -208,6 +208,9 @@ class BootTimes:
 
     Args:
         n: number of vehicles.
+
+    Attributes:
+        quiet: no vehicle's times have ever run back, or jumped.
     """
 
     def __init__(self, n: int) -> None:
@@ -215,6 +218,7 @@ class BootTimes:
         self._last_rx_ns: IntArray = np.zeros(n, dtype=np.int64)
         self._back: IntArray = np.zeros(n, dtype=np.int64)
         self._flips: list[deque[int]] = [deque(maxlen=_FLIPS) for _ in range(n)]
+        self.quiet = True
 
     def take(self, row: IntArray, boot_ms: IntArray, t_rx_ns: IntArray) -> tuple[BoolArray, list[int]]:
         """Judges messages in the order of their arrival.
@@ -227,15 +231,16 @@ class BootTimes:
         Returns:
             Which of them are news, shape (k,), and the vehicles that have started anew.
         """
-        fresh: BoolArray = np.ones(len(row), dtype=np.bool_)
         last_ms = self._last_ms[row]
         most_ms = (t_rx_ns - self._last_rx_ns[row]) // 1_000_000 + _AHEAD_MS
         gone_ms = boot_ms - last_ms
-        goes_on = (gone_ms >= 0) & (gone_ms <= most_ms)
-        plain = every(goes_on) or every(goes_on | (last_ms < 0))  # or it is the first one
-        if plain and not np.count_nonzero(self._back) and len(set(row.tolist())) == len(row):
+        goes_on: BoolArray = (gone_ms >= 0) & (gone_ms <= most_ms)
+        if not every(goes_on):
+            goes_on |= last_ms < 0  # or it is the first one
+        if every(goes_on) and not np.count_nonzero(self._back) and len(set(row.tolist())) == len(row):
             self._last_ms[row], self._last_rx_ns[row] = boot_ms, t_rx_ns
-            return fresh, []
+            return goes_on, []
+        fresh: BoolArray = np.ones(len(row), dtype=np.bool_)
         restarted: list[int] = []
         for k, (vehicle, boot, t_ns) in enumerate(zip(row.tolist(), boot_ms.tolist(), t_rx_ns.tolist(), strict=True)):
             last = int(self._last_ms[vehicle])
@@ -245,7 +250,7 @@ class BootTimes:
                 gone = around
             if last < 0 or 0 <= gone <= self._most_ms(vehicle, t_ns):
                 if self._back[vehicle]:
-                    self._flips[vehicle].append(t_ns)
+                    self._flip(vehicle, t_ns)
                 self._back[vehicle] = 0
             elif -_BACK_MS <= gone < 0:
                 fresh[k] = False
@@ -256,16 +261,15 @@ class BootTimes:
                     fresh[k] = False
                     continue
                 self._back[vehicle] = 0
-                self._flips[vehicle].append(t_ns)
+                self._flip(vehicle, t_ns)
                 if gone < 0:
                     restarted.append(vehicle)
             self._last_ms[vehicle], self._last_rx_ns[vehicle] = boot, t_ns
         return fresh, restarted
 
-    @property
-    def quiet(self) -> bool:
-        """No vehicle's times have ever run back, or jumped."""
-        return not any(self._flips)
+    def _flip(self, vehicle: int, t_rx_ns: int) -> None:
+        self._flips[vehicle].append(t_rx_ns)
+        self.quiet = False
 
     def _most_ms(self, vehicle: int, t_rx_ns: int) -> int:
         """How far a vehicle's clock can have gone since its last message."""

@@ -43,6 +43,7 @@ class Senders:
         self._strange: dict[int, tuple[Kind, int]] = {}
         self._components: dict[int, tuple[int, int]] = {}
         self._boards: dict[int, dict[bytes, int]] = {}
+        self._two_boards = False
 
     # What is heard
 
@@ -81,17 +82,20 @@ class Senders:
         boards = self._boards.setdefault(vehicle, {})
         if uid.strip(b"\0") and (uid in boards or len(boards) < _BOARDS_MAX):
             boards[uid] = t_rx_ns
+        self._two_boards |= len(boards) > 1
 
     def forget_board(self, vehicle: int) -> None:
         """The vehicle has started anew: it may be another one."""
         self._boards.pop(vehicle, None)
+        self._two_boards = any(len(boards) > 1 for boards in self._boards.values())
 
     # What follows from it
 
     @property
     def quiet(self) -> bool:
         """Nothing has ever been suspicious that ``alternating`` would tell of."""
-        return all(item.quiet for item, _ in self._words) and all(len(boards) < 2 for boards in self._boards.values())
+        told = self._kind.quiet and self._arming.quiet and self._mode.quiet
+        return told and self._landed.quiet and self._battery.quiet and self._place.quiet and not self._two_boards
 
     @property
     def all_alike(self) -> bool:

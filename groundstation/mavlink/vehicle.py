@@ -455,8 +455,8 @@ class Fleet:
 
     def _all_quiet(self) -> bool:
         """Whether nothing of any vehicle has ever gone to and fro."""
-        times = (self._position_times, self._place_times, self._attitude_times)
-        return self.senders.quiet and all(item.quiet for item in times)
+        times = self._position_times.quiet and self._place_times.quiet and self._attitude_times.quiet
+        return times and self.senders.quiet
 
     def twins_behind_one_address(self, now_ns: int) -> dict[int, str]:
         """The same of everybody: words by row, of those that are two."""
@@ -616,9 +616,9 @@ class Fleet:
 
         Many of one vehicle may come at once: each is compared with the last before it, since one jump is one.
         """
-        before = np.hstack([self.pos_local_ned_m[row], self.vel_ned_m_s[row]])
-        if not some(norms(both[:, :3] - before[:, :3]) > _TWO_PLACES_M):
+        if not some(norms(both[:, :3] - self.pos_local_ned_m[row]) > _TWO_PLACES_M):
             return
+        before = np.hstack([self.pos_local_ned_m[row], self.vel_ned_m_s[row]])
         last: dict[int, tuple[FloatArray, int]] = {}
         for k in number.nonzero()[0].tolist():
             vehicle, here, now_ns = int(row[k]), both[k], int(t_ns[k])
@@ -757,8 +757,9 @@ class Fleet:
         self.landed_state[row] = landed
         self.landed_ns[row] = t_ns
         self.senders.landed(row, landed, t_ns)
-        for vehicle in row[self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)].tolist():
-            self._believe_disarmed(vehicle)
+        if some(self.disarm_doubted):
+            for vehicle in row[self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)].tolist():
+                self._believe_disarmed(vehicle)
 
     def _command_ack(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         for values, vehicle, t in zip(batch.values, row, t_ns, strict=True):

@@ -10,7 +10,7 @@ from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.quick import some
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.flight.intruders import intruders
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.table import Event
@@ -43,7 +43,7 @@ class Lookout:
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
         flying = intruders(team.plan.spec.traffic, team.frame.placement, fleet.traffic, now_ns)
-        poses = poses if poses.intruders is flying else replace(poses, intruders=flying)
+        poses = poses if poses.intruders is flying else changed(poses, intruders=flying)
         poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
         findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))
         fleet.doubt_the_ground(board.flies)
@@ -54,7 +54,7 @@ class Lookout:
         sinking = poses.sinking | team.landing.columns() | team.killing.falling(now_ns)
         # Who stands makes room for nobody.
         stands = team.landing.standing(now_ns) & (poses.extra_radius_m == 0.0)
-        return replace(poses, sinking=sinking, extra_radius_m=np.where(stands, _STANDS_M, poses.extra_radius_m))
+        return changed(poses, sinking=sinking, extra_radius_m=np.where(stands, _STANDS_M, poses.extra_radius_m))
 
     def watch_the_ground(self, poses: Poses, now_ns: int) -> None:
         """While nobody can be told anything: tells of those that come to the ground hard.

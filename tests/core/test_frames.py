@@ -97,3 +97,11 @@ def test_no_attitude_is_refused(bad: list[float]) -> None:
 def test_wrong_shape_is_refused() -> None:
     with pytest.raises(ValueError, match="w x y z"):
         frames.rot_ned_from_frd(np.zeros((2, 3)))
+
+
+def test_the_downward_axes_are_the_last_columns_of_the_rotations_to_the_bit() -> None:
+    quats = np.random.default_rng(3).normal(size=(64, 4))
+    np.testing.assert_array_equal(frames.down_ned(quats), frames.rot_ned_from_frd(quats)[..., 2])
+    matrices, vectors = frames.rot_ned_from_frd(quats), quats[:, 1:]
+    there = frames.rotate(np.swapaxes(matrices, -1, -2), vectors)
+    np.testing.assert_array_equal(frames.rotate_back(matrices, vectors), there)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -72,6 +72,7 @@ def test_the_fence_only_takes_away(vel: np.ndarray, pos: np.ndarray) -> None:
     assert (out[beyond_low] >= 0.0).all()
 
 
+@settings(deadline=None)
 @given(arrays(np.float64, 3, elements=st.floats(-0.5, 0.5)), st.floats(0.1, 5.0))
 def test_nobody_who_obeys_leaves_the_fence(wanted: np.ndarray, rate: float) -> None:
     pos = np.array([[0.0, 0.0, -1.0]])

@@ -29,6 +29,7 @@ from tests.mavlink.test_splitting import GOOD, GOOD_V1, UNKNOWN, WINDOWS, _bits
 
 COMMON = sorted(int(number) for number in common.mavlink_map)
 SECOND_NS = 1_000_000_000
+PLAIN = (GOOD, Encoder(7).encode("ATTITUDE", roll=1.0), Encoder(8, compid=0xFD).encode("STATUSTEXT", text="\xfd"))
 KEY = bytes(range(32))
 
 
@@ -49,6 +50,28 @@ def test_a_block_is_what_its_datagrams_are_one_by_one(datagrams: list[bytes], cu
     parts = [datagrams[:cut], datagrams[cut:]]
     joined = merge([block_of(part, ("a", "b")) for part in parts if part])
     assert [pieces for _, _, pieces, _ in joined.pieces()] == expected
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.lists(st.sampled_from(PLAIN), max_size=9).map(b"".join), min_size=1, max_size=5), st.data())
+def test_frames_without_anything_else_are_found_alike_in_both_ways(datagrams: list[bytes], draw: st.DataObject) -> None:
+    """Looked at one by one, as few of them are, and all together; with one byte wrong as well."""
+    data = bytearray(b"".join(datagrams))
+    offsets = np.cumsum([0, *map(len, datagrams)])
+    if data and draw.draw(st.booleans()):
+        data[draw.draw(st.integers(0, len(data) - 1))] ^= draw.draw(st.integers(1, 255))
+    none = np.zeros(len(datagrams), dtype=np.int64)
+    where = blocks.Datagrams(offsets, none, none, none, ((0, "p"),))
+    both = blocks.split(bytes(data), where), blocks._search(bytes(data), where)
+    pieces = [[item[2] for item in block.pieces()] for block in both]
+    assert pieces[0] == pieces[1]
+    one, other = ([column.tolist() for column in _columns(block)] for block in both)
+    assert one == other
+
+
+def _columns(block: Block) -> list[Any]:
+    names = "start stop payload payload_size msgid known seq sysid compid signed datagram"
+    return [getattr(block, name) for name in names.split()]
 
 
 @settings(deadline=None)

@@ -12,7 +12,7 @@ from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_ON_GROUND, LANDE
 from groundstation.mission.flight.climb import Climb
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.killing import Killing
-from groundstation.mission.flight.poses import Poses, out_of_sight
+from groundstation.mission.flight.poses import Poses, changed, out_of_sight
 from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.plan.plan import MissionPlan
@@ -254,3 +254,16 @@ def test_nobody_is_armed_before_everybody_follows_and_one_that_refuses_is_asked_
     assert arming.step(two.hear(4.0))
     two.fleet.restarts[1] += 1
     assert arming.started_anew() == "vehicle 2: has started anew while the team was arming; see to its power"
+
+
+def test_poses_that_change_in_part_are_what_replace_makes_and_keep_no_rotation_of_others() -> None:
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    poses = Poses(np.zeros((2, 3)), np.zeros((2, 3)), level, np.zeros(2, dtype=np.bool_))
+    rotation = poses.rot_ned_from_flu
+    moved = changed(poses, pos_team_ned_m=np.ones((2, 3)))
+    assert moved.rot_ned_from_flu is rotation
+    assert poses.pos_team_ned_m.sum() == 0.0
+    turned = changed(moved, quat_ned_from_frd=np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+    same = replace(moved, quat_ned_from_frd=turned.quat_ned_from_frd)
+    np.testing.assert_array_equal(turned.rot_ned_from_flu, same.rot_ned_from_flu)
+    assert turned.pos_team_ned_m is moved.pos_team_ned_m

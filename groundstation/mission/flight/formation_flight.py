@@ -257,7 +257,7 @@ class FormationFlight:
             control_gain=self._control_gain(),
             members=members,
             points_by_agent_m=points_m,
-            detour_enu_m_s=self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s)) if forming else None,
+            detour_enu_m_s=_detours(self._gridlocks, poses) if forming else None,
             motion=added(tick.motion, kept),
             present=tick.present,
             sight=None if self._sensing is None else self._sensing.look(now_ns, poses, self._task.neighbours),
@@ -276,7 +276,7 @@ class FormationFlight:
         heights_m = self._now.stage.formation.points_enu_m[:, 2]
         clear_m = _CLEAR_OF_FLOOR_M + 0.25 * self._plan.margin_m
         middle_m = self._plan.min_altitude_m + float(heights_m.mean() - heights_m.min()) + clear_m
-        counts = self._roster.in_formation & np.isfinite(pos_enu_m).all(axis=1)
+        counts = self._roster.in_formation & finite_rows(pos_enu_m)
         self._now.keeper.begin(pos_enu_m, counts, middle_m)
 
     def _upright(self, poses: Poses) -> bool:
@@ -293,8 +293,7 @@ class FormationFlight:
         if not self._going_home:
             self._going_home = True
             self._gridlocks.forget()
-        detours = self._gridlocks.wishes(frames.enu_from_ned(poses.vel_ned_m_s))
-        setpoints = self._helm.to_targets(poses, target_ned_m, detours)
+        setpoints = self._helm.to_targets(poses, target_ned_m, _detours(self._gridlocks, poses))
         to_goal_enu_m = frames.enu_from_ned(target_ned_m - poses.pos_team_ned_m)
         absent = absent | ~finite_rows(poses.pos_team_ned_m)
         self._get_out(setpoints.sensed, absent, to_goal_enu_m)
@@ -358,3 +357,9 @@ class FormationFlight:
             what = "what is in its way" if len(self._plan.obstacles) else "the others"
             text = f"vehicle {ids[sent[0]]} is locked in: it goes round {what}"
             self._now.note("info", text if not others else f"{text}, and {others} back off", ())
+
+
+def _detours(locks: Gridlocks, poses: Poses) -> FloatArray | None:
+    """What those on a detour wish, NaN for all others, shape (n, 3), ENU; None where nobody is on one."""
+    wishes = locks.wishes(frames.enu_from_ned(poses.vel_ned_m_s))
+    return wishes if some(locks.detours) else None

@@ -398,7 +398,7 @@ class Guide:
             fence=box,
             fence_rate_1_s=self._approach_rate_1_s,
         )
-        corners = [frames.enu_from_ned(corner) for corner in (box.min_team_ned_m, box.max_team_ned_m)]
+        low_enu_m, high_enu_m = box.corners_enu_m
         pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
         sensed = Sensed(
             rel_m=self._everybody(_enu_from_flu(poses, views.rel_pos_flu_m), views.visible, who),
@@ -406,8 +406,8 @@ class Guide:
             vel_m_s=frames.enu_from_ned(poses.vel_ned_m_s),
             wish_m_s=_enu_from_flu(poses, wish_flu_m_s),
             in_the_way=self._everybody(avoided.in_the_way | damped.in_the_way, views.visible, who),
-            low_m=np.minimum(*corners) - pos_enu_m,
-            high_m=np.maximum(*corners) - pos_enu_m,
+            low_m=low_enu_m - pos_enu_m,
+            high_m=high_enu_m - pos_enu_m,
             walled=walled,
             pos_m=pos_enu_m if walled is not None else None,
         )

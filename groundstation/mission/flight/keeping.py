@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core.motion import Motion
-from groundstation.core.quick import length, norms, some
+from groundstation.core.quick import between, length, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 
 SPEED_SHARE = 0.2
@@ -84,7 +84,7 @@ class PlaceKeeper:
         if self.rate_1_s == 0.0 or self.place_enu_m is None or not some(counts):
             return None
         middle = pos_enu_m[counts].mean(axis=0)
-        if not np.array_equal(counts, self._counted):
+        if counts.tobytes() != self._counted.tobytes():
             # The middle of others: it is as far from its place as the one before was.
             self.place_enu_m = self.place_enu_m + middle - self._middle_enu_m
             self._counted = counts.copy()
@@ -97,7 +97,7 @@ class PlaceKeeper:
             level = norms(points_m[:, :2] - points_m[:, :2].mean(axis=0))
             off = np.angle(np.exp(1j * (self.heading_rad - heading_of(pos_enu_m[counts], points_m[counts]))))
             most_rad_s = 0.5 * most_m_s / max(float(level.max()), 1e-6)
-            turn_rad_s = float(np.clip(self.rate_1_s * off, -most_rad_s, most_rad_s))
+            turn_rad_s = float(between(self.rate_1_s * off, -most_rad_s, most_rad_s))
         return Motion(vel_enu_m_s=vel_m_s, turn_rad_s=turn_rad_s, growth_1_s=0.0, scale=1.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar
 
@@ -59,6 +59,16 @@ class Poses:
                 raise ValueError(f"poses: {name} has shape {given.shape}, expected ({n},)")
 
 
+def changed(poses: Poses, **parts: FloatArray | BoolArray | Intruders) -> Poses:
+    """``replace`` for a tick's poses: new arrays of the same sizes, and nothing that is known is worked out again."""
+    others = object.__new__(Poses)
+    others.__dict__.update(poses.__dict__)
+    if "quat_ned_from_frd" in parts:
+        others.__dict__.pop("rot_ned_from_flu", None)
+    others.__dict__.update(parts)
+    return others
+
+
 _T = TypeVar("_T")
 
 
@@ -83,11 +93,12 @@ class OncePerPoses(Generic[_T]):
 def out_of_sight(poses: Poses) -> Poses:
     """Puts whoever was never seen far away from everybody, so that unknown does not spread."""
     parts = (poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd)
-    known = np.asarray(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
-    if every(known):
+    finite: BoolArray = np.isfinite(np.concatenate(parts, axis=1))
+    if every(finite):
         return poses
+    known = np.asarray(finite.all(axis=1))
     far = _OUT_OF_SIGHT_M * (1.0 + np.arange(len(known)))[:, None] * np.array([1.0, 0.0, 1.0])  # under nobody
-    return replace(
+    return changed(
         poses,
         pos_team_ned_m=np.where(known[:, None], poses.pos_team_ned_m, far),
         vel_ned_m_s=np.where(known[:, None], poses.vel_ned_m_s, 0.0),

@@ -35,7 +35,8 @@ class Rest:
         new = stands & known & np.isnan(self.place_ned_m[:, 0])
         self.place_ned_m = np.where(stands[:, None], self.place_ned_m, np.nan)
         self.place_ned_m[new] = pos_ned_m[new]
-        self.moved_ned_m = np.nan_to_num(np.where(known[:, None], pos_ned_m - self.place_ned_m, 0.0))
+        moved_ned_m = np.where(known[:, None], pos_ned_m - self.place_ned_m, 0.0)
+        self.moved_ned_m = np.where(np.isnan(moved_ned_m), 0.0, moved_ned_m)
 
     def forget(self, rows: BoolArray) -> None:
         """They come to rest anew, shape (n,)."""

@@ -153,7 +153,8 @@ class TeamFrame:
         """
         self._compare(fleet)
         old = now_ns - self._compared_ns > _COMPARED_NS
-        return np.asarray(np.where(old.any(axis=1), np.nan, self._apart_m.min(axis=1)))
+        least_m = np.minimum(self._apart_m[:, 0], self._apart_m[:, 1])
+        return np.asarray(np.where(old[:, 0] | old[:, 1], np.nan, least_m))
 
     def _compare(self, fleet: Fleet) -> None:
         """Compares both positions of those whose global one is new; ``_apart_m[:, 0]`` is the newer comparison."""

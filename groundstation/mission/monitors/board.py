@@ -8,14 +8,13 @@ become an obstacle, and how large.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.contradictions import Contradictions
 from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
@@ -164,6 +163,8 @@ class Board:
         for monitor in (self._touchdowns,) if only_the_ground else self._monitors:
             # Here, and nowhere else, it is settled that nobody is judged who is not ours, whatever a monitor finds.
             judged = [finding.of(ours) for finding in monitor.look(sight, ours.copy())]
+            if not judged:
+                continue
             found += [(finding, self._take(finding, findings, sight)) for finding in judged if finding is not None]
             ours[findings.release] = False  # whoever is released in this tick is judged no more by the next monitor
         lands[findings.land] = True
@@ -198,7 +199,7 @@ class Board:
         strays = self._following.strays & ~landing
         extra_m: FloatArray = np.where((unsteered | strays) & up, growing_m, 0.0)
         may_sink = self.blind | (self.foreign & ~self.waits)  # PX4 in Hold stood within 0.4 m for 3 s
-        return replace(poses, sinking=may_sink & up, extra_radius_m=extra_m)
+        return changed(poses, sinking=may_sink & up, extra_radius_m=extra_m)
 
     def _take(self, finding: Finding, findings: Findings, sight: Sight) -> Reaction:
         """Puts whom a finding concerns into lists; returns what is done about it."""

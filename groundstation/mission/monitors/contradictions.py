@@ -54,8 +54,9 @@ class Contradictions:
         for vehicle in found:
             what = f"says that it stands on the ground, {height_m[vehicle]:.1f} m above its pad; it counts as flying"
             yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=_FIND)
-        judged = [] if fleet.senders.all_alike else ours.nonzero()[0].tolist()
-        strange = {row: fleet.senders.strange_kind(row, sight.now_ns) for row in judged}
+        if fleet.senders.all_alike:  # nothing was ever told of anybody
+            return
+        strange = {row: fleet.senders.strange_kind(row, sight.now_ns) for row in ours.nonzero()[0].tolist()}
         told = np.array([strange.get(row) is not None for row in range(len(fleet))])
         for vehicle in self._kinds(told, sight.now_ns):
             kind = strange[vehicle]

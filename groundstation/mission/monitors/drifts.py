@@ -38,38 +38,51 @@ class Drifts:
         self.gone_ned_m: FloatArray = np.zeros((n, 3))
         self.drifting: BoolArray = np.zeros(n, dtype=np.bool_)
         self._trail_m: FloatArray = np.zeros((n, 3))
-        self._pos: FloatArray = np.full((n, 3), np.nan)
-        self._vel: FloatArray = np.zeros((n, 3))
-        self._since_before = SinceBefore()
 
     @property
     def gone_m(self) -> FloatArray:
         """How far that is, shape (n,)."""
         return norms(self.gone_ned_m)
 
-    def take(self, poses: Poses, counts: BoolArray, begins: BoolArray, ends: BoolArray, now_ns: int) -> None:
-        """Takes the poses of a tick, as reported.
+    def take(self, more_m: FloatArray, faded: float, begins: BoolArray, ends: BoolArray) -> None:
+        """Takes what positions have gone since the tick before.
+
+        Args:
+            more_m: besides their velocities, shape (n, 3); zero for those that do not count.
+            faded: what is left by now of what they had gone before.
+            begins: parts from its velocity as positions do not, and counts, shape (n,).
+            ends: hardly parts any more, shape (n,).
+        """
+        self._trail_m = self._trail_m * faded + more_m
+        begins = begins & ~self.drifting
+        if some(begins) or some(self.drifting):
+            self.gone_ned_m += np.where(self.drifting[:, None], more_m, np.where(begins[:, None], self._trail_m, 0.0))
+            self._trail_m[self.drifting] = 0.0
+        self.drifting = (self.drifting | begins) & ~ends
+
+
+class _Steps:
+    """How far n positions go in a tick that their velocities do not explain."""
+
+    def __init__(self, n: int) -> None:
+        self._pos: FloatArray = np.full((n, 3), np.nan)
+        self._vel: FloatArray = np.zeros((n, 3))
+
+    def take(self, poses: Poses, counts: BoolArray, passed_s: float) -> FloatArray:
+        """Takes the poses of a tick, as reported; returns that, shape (n, 3).
 
         Args:
             poses: as reported.
             counts: in the air and reported of late, shape (n,): what is carried on by its velocity cannot part from it.
-            begins: parts from its velocity as positions do not, shape (n,).
-            ends: hardly parts any more, shape (n,).
-            now_ns: time of the tick.
+            passed_s: since the tick before.
         """
         pos_ned_m, vel_ned_m_s = poses.pos_team_ned_m, poses.vel_ned_m_s
-        passed_s = self._since_before(now_ns)
         more_m = pos_ned_m - self._pos - 0.5 * passed_s * (self._vel + vel_ned_m_s)
         # Not with what is no number; what is absurd comes and goes in two ticks, and both are left out.
         told = counts & (norms(more_m) < _ABSURD_M)
-        more_m = np.where(told[:, None], more_m, 0.0)
         self._pos = np.where(counts[:, None], pos_ned_m, np.nan)
         self._vel = vel_ned_m_s.copy()
-        self._trail_m = self._trail_m * np.exp(-passed_s / _TRAIL_S) + more_m
-        begins = counts & begins & ~self.drifting
-        self.gone_ned_m += np.where(self.drifting[:, None], more_m, np.where(begins[:, None], self._trail_m, 0.0))
-        self._trail_m[self.drifting] = 0.0
-        self.drifting = (self.drifting | begins) & ~ends
+        return np.where(told[:, None], more_m, 0.0)
 
 
 class Astray:
@@ -85,6 +98,7 @@ class Astray:
     def __init__(self, plan: MissionPlan) -> None:
         limit_m = plan.limits.pose_jump_m
         self.drifts, self._early = Drifts(plan.size), Drifts(plan.size)
+        self._steps, self._since_step = _Steps(plan.size), SinceBefore()
         quick_m = max(limit_m - plan.margin_m, _QUICK * limit_m)
         good_m = _GOOD_M + plan.margin_m + _LATE_S * plan.spec.speed_limit_m_s
         self._quick_m = min(quick_m, max(good_m, _LEAST_M))
@@ -106,17 +120,23 @@ class Astray:
             now_ns: time of the tick.
         """
         drifts, pos_ned_m = self.drifts, poses.pos_team_ned_m
-        drifts.take(poses, counts, good & (away_m > self._quick_m), away_m < _ENDS * self._quick_m, now_ns)
-        self._early.take(poses, counts, ~good & (away_m > self._quick_m), away_m < _ENDS * self._quick_m, now_ns)
+        passed_s = self._since_step(now_ns)
+        more_m, faded = self._steps.take(poses, counts, passed_s), float(np.exp(-passed_s / _TRAIL_S))
+        begins, ends = counts & (away_m > self._quick_m), away_m < _ENDS * self._quick_m
+        drifts.take(more_m, faded, begins & good, ends)
+        self._early.take(more_m, faded, begins & ~good, ends)
+        gone_m = drifts.gone_m
         # From its pad it is as far as it says, or as its velocity has led it.
         says_m = (pos_ned_m - self._pads_ned_m)[:, :2]
         led_m = says_m - drifts.gone_ned_m[:, :2]
         off_m = np.maximum(norms(says_m), norms(led_m)) + self._quick_m
-        self._off_m = np.where(counts & (drifts.gone_m > 0.0), off_m, self._off_m)
-        return np.where(drifts.drifting, drifts.gone_m, 0.0)
+        self._off_m = np.where(counts & (gone_m > 0.0), off_m, self._off_m)
+        return np.where(drifts.drifting, gone_m, 0.0)
 
     def own_up(self, calm: BoolArray) -> None:
         """Of those whose velocities prove to be good, shape (n,), it was the position that went astray before."""
+        if not np.count_nonzero(self._early.gone_ned_m):  # mostly nothing has
+            return
         rows = calm & ~self._early.drifting
         self.drifts.gone_ned_m[rows] += self._early.gone_ned_m[rows]
         self._early.gone_ned_m[rows] = 0.0

@@ -200,6 +200,16 @@ class Findings:
         return "; ".join(self.aborts.values()) or None
 
 
+def _single(condition: bool) -> BoolArray:
+    row: BoolArray = np.array([condition])
+    row.flags.writeable = False
+    return row
+
+
+SINGLE = (_single(False), _single(True))
+"""A condition of one row, false and true."""
+
+
 class Lasting:
     """Conditions, one per row, that are believed when they have lasted, and are then told once.
 

@@ -11,7 +11,7 @@ import numpy as np
 from groundstation.core.limits import Fence
 from groundstation.core.quick import between, length, norms
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, SinceBefore
@@ -170,15 +170,15 @@ class LateTicks:
             self._recent.popleft()
         reach_s = (now_ns - self._ticks[0]) / SECOND_NS
         recent = len(self._recent)
-        if self._late(np.array([gap_s > self._late_s]), now_ns):
+        if self._late(SINGLE[gap_s > self._late_s], now_ns):
             what = f"the ground station stood still for {gap_s:.2f} s, limit {self._late_s:g} s"
             yield Finding(Reaction.ALL_HOME, what, remedy=_BUSY)
         slow = reach_s > _RATE_OVER_S and recent < self._least_hz * _RATE_OVER_S
-        if self._slow(np.array([slow]), now_ns):
+        if self._slow(SINGLE[slow], now_ns):
             what = f"the ground station makes {recent / _RATE_OVER_S:.1f} ticks a second, minimum is"
             yield Finding(Reaction.ALL_HOME, f"{what} {self._least_hz:g}", remedy=_BUSY)
         rare = reach_s > _STREAM_OVER_S - 1.0 / _STREAM_MIN_HZ and len(self._ticks) < _STREAM_OVER_S * _STREAM_MIN_HZ
-        if self._silent(np.array([rare]), now_ns):
+        if self._silent(SINGLE[rare], now_ns):
             what = f"the ground station makes less than {_STREAM_MIN_HZ:g} ticks a second, autopilots come and go with"
             yield Finding(Reaction.SILENCE, f"{what} that", urgent=True, remedy=_BUSY)
 

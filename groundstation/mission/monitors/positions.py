@@ -7,7 +7,6 @@ beginning; that is preflight's.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from groundstation.core.quick import between, equal_rows, every, norms, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.drifts import Astray
 from groundstation.mission.monitors.findings import OWN_ID, SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.links import LinkPlan
@@ -134,7 +133,7 @@ class PoseJump:
         # It was told to stand still, and carries on for a moment.
         carried = self._pos + self._vel * np.minimum(passed_s, _REACH_S)[:, None]
         rows = self.suspect[:, None]
-        return replace(
+        return changed(
             poses,
             pos_team_ned_m=np.where(rows, carried, poses.pos_team_ned_m),
             vel_ned_m_s=np.where(rows, 0.0, poses.vel_ned_m_s),

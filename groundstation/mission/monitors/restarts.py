@@ -44,7 +44,7 @@ class Restarts:
         for vehicle in self._stands(self._aloft & ~(sight.airborne | anew | old), now_ns):
             self._aloft[vehicle] = False
         told = self._aloft & sight.excused & ours & ~sight.blind
-        for vehicle in np.flatnonzero(told & anew & ~fleet.armed).tolist():  # an armed one's clock has jumped
+        for vehicle in (told & anew & ~fleet.armed).nonzero()[0].tolist():  # an armed one's clock has jumped
             self._aloft[vehicle] = False
             what = "its autopilot has started anew before it stood, so that its motors have stopped in the air"
             yield Finding(Reaction.FAILED, f"{what}; {KEEP}", (vehicle,), lost=True)

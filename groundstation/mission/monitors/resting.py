@@ -7,14 +7,13 @@ where they came to rest.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from groundstation.core.quick import finite_rows, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.flight.resting import Rest, still_limit_m
 from groundstation.mission.monitors.findings import SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
@@ -55,7 +54,7 @@ class Resting:
             return poses
         stands = self._told & finite_rows(self._rest.place_ned_m)
         pos_ned_m = np.where(stands[:, None], self._rest.place_ned_m, poses.pos_team_ned_m)
-        return replace(poses, pos_team_ned_m=pos_ned_m)
+        return changed(poses, pos_team_ned_m=pos_ned_m)
 
     def take(self, pos_team_ned_m: FloatArray, airborne: BoolArray) -> None:
         """Takes positions of a tick in flight, as reported, shape (n, 3), and who flies, shape (n,)."""

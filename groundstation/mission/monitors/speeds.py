@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from groundstation.core.quick import norms
 from groundstation.core.speeds import DISAGREES_M_S, Speeds
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mission.flight.poses import Poses
+from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.findings import SEE_TO_POSITION, Finding, Lasting, Reaction, Sight
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, HeldEach, SinceBefore
@@ -103,7 +102,7 @@ class PoorSpeeds:
         """
         if not np.count_nonzero(self._speeds.share):
             return poses
-        return replace(
+        return changed(
             poses,
             vel_ned_m_s=poses.vel_ned_m_s - np.where(suspect[:, None], 0.0, self._speeds.known_error_ned_m_s),
             vel_error_m_s=self._speeds.left_m_s,

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
+from groundstation.core.quick import between, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.monitors.findings import Finding, Reaction, Sight
@@ -43,7 +44,8 @@ class Touchdowns:
 
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
-        self._by_place: BoolArray = np.array([plan.position_message(row) == "GLOBAL_POSITION_INT" for row in range(n)])
+        self._by_local: BoolArray = np.array([plan.position_message(row) != "GLOBAL_POSITION_INT" for row in range(n)])
+        self._rows: IntArray = np.arange(n)
         self._ground_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)[:, 2]
         self._near_m = _NEAR_M + plan.margin_m
         kept = math.ceil(_KEPT_S * POSE_HZ)
@@ -58,12 +60,12 @@ class Touchdowns:
         """Tells of those that have come down hard; who may still be told to land is, and flies no more."""
         new = self._take(sight.fleet)
         self._lifted |= sight.airborne
-        if not self._lifted.any():
+        if not some(self._lifted):
             return
         height_m = self._ground_ned_m - sight.pos_team_ned_m[:, 2]
-        found = {row: self._stopped(row) for row in np.flatnonzero(self._stops(new, height_m)).tolist()}
+        found = {row: self._stopped(row) for row in self._stops(new, height_m).nonzero()[0].tolist()}
         lies = self._lifted & ~sight.airborne & new & (self._now_ns() - self._moves_ns >= _STILL_NS)
-        for row in np.flatnonzero(lies).tolist():
+        for row in lies.nonzero()[0].tolist():
             self._lifted[row] = False
             found.setdefault(row, self._lay_down(row))
         for row, what in found.items():
@@ -76,32 +78,32 @@ class Touchdowns:
 
     def _take(self, fleet: Fleet) -> BoolArray:
         """Keeps the reports that are new; returns whose are, shape (n,)."""
-        local, rows = ~self._by_place, np.arange(len(fleet))
+        local = self._by_local
         t_ns = np.where(local, fleet.pose_ns, fleet.place_ns)
-        new = t_ns > self._now_ns()
-        if not new.any():
-            return np.asarray(new)
+        new: BoolArray = t_ns > self._now_ns()
+        if not some(new):
+            return new
         self._last[new] = (self._last[new] + 1) % len(self._t_ns)
         vel = np.where(local[:, None], fleet.vel_ned_m_s, fleet.place_vel_ned_m_s)
         quat = fleet.quat_ned_from_frd
-        at, who = self._last[new], rows[new]
+        at, who = self._last[new], self._rows[new]
         self._t_ns[at, who] = t_ns[new]
         self._values[at, who, _DOWN] = vel[new, 2]
         self._values[at, who, _ACROSS] = np.hypot(vel[new, 0], vel[new, 1])
         self._values[at, who, _DEPTH] = np.where(local, fleet.pos_local_ned_m[:, 2], -fleet.place_deg_m[:, 2])[new]
         cosine = 1.0 - 2.0 * (quat[new, 1] ** 2 + quat[new, 2] ** 2)
-        self._values[at, who, _LEAN] = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        self._values[at, who, _LEAN] = np.degrees(np.arccos(between(cosine, -1.0, 1.0)))
         moves = new & ~(np.abs(vel[:, 2]) <= _STILL_M_S)
         self._moves_ns[moves] = t_ns[moves]
-        return np.asarray(new)
+        return new
 
     def _now_ns(self) -> IntArray:
         """When the newest report of each was measured, shape (n,)."""
-        return np.asarray(self._t_ns[self._last, np.arange(len(self._last))])
+        return np.asarray(self._t_ns[self._last, self._rows])
 
     def _stops(self, new: BoolArray, height_m: FloatArray) -> BoolArray:
         """Whose fall has ended between the last two reports near the ground, as only the ground ends it, shape (n,)."""
-        rows, before = np.arange(len(new)), self._last - 1
+        rows, before = self._rows, self._last - 1
         passed_s = np.maximum((self._now_ns() - self._t_ns[before, rows]) / SECOND_NS, 1e-3)
         was, now = self._values[before, rows], self._values[self._last, rows]
         changes_m_s = np.hypot(was[:, _DOWN] - now[:, _DOWN], was[:, _ACROSS] - now[:, _ACROSS])

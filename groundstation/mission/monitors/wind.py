@@ -11,7 +11,7 @@ from groundstation.core import frames
 from groundstation.core.quick import every, finite_rows, length, norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.speeds import PoorSpeeds
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.wind import sway_s2
@@ -79,7 +79,8 @@ class Wind:
         """Gusts as they are felt, less what poor velocities look like: a vehicle leans to mend what is no motion."""
         told, felt_m_s = self._speeds.told_error_m_s, self.estimate.gust_m_s
         if self._felt is None or self._felt[0] is not told or self._felt[1] != felt_m_s:  # several ask in a tick
-            shaken_m_s = _SHAKEN_LOOKS * float(np.sqrt(np.mean(self._speeds.rms_m_s**2)))
+            rms_m_s = self._speeds.rms_m_s
+            shaken_m_s = _SHAKEN_LOOKS * math.sqrt(np.add.reduce(rms_m_s * rms_m_s) / len(rms_m_s))
             self._felt = told, felt_m_s, math.sqrt(max(felt_m_s**2 - shaken_m_s**2, 0.0))
         return self._felt[2]
 
@@ -106,7 +107,7 @@ class Wind:
         leans: BoolArray = finite_rows(quat)  # who was never heard has no attitude
         counts &= leans
         level = quat if every(leans) else np.where(leans[:, None], quat, np.array([1.0, 0.0, 0.0, 0.0]))
-        down_ned = frames.rot_ned_from_frd(level)[..., 2]
+        down_ned = frames.down_ned(level)
         # A vehicle whose velocity is wrong leans to what it takes for its velocity, and that is no wind.
         moves_m_s, told_m_s = (vel - sight.vel_error_ned_m_s for vel in (sight.vel_ned_m_s, sight.sent_ned_m_s))
         self.estimate.step(passed_s, moves_m_s, down_ned, told_m_s, counts)
@@ -120,10 +121,10 @@ class Wind:
         )
         beyond = mean_m_s > _MEAN_OVER * limit.mean_m_s + self._unsure_m_s
         beyond |= gust_m_s > _GUST_OVER * limit.gust_m_s + _GUST_UNSURE_M_S
-        for _ in self._beyond(np.array([self.estimate.known and beyond]), sight.now_ns):
+        for _ in self._beyond(SINGLE[self.estimate.known and beyond], sight.now_ns):
             what = f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}"
             yield Finding(Reaction.ALL_HOME, what, remedy="wait for less wind, or state more of it in the mission")
-        for _ in self._near(np.array([self.estimate.known and near]), sight.now_ns):
+        for _ in self._near(SINGLE[self.estimate.known and near], sight.now_ns):
             what = f"{self._words(mean_m_s, gust_m_s)}; the limit is {limit.words()}"
             yield Finding(Reaction.SAY, what, remedy="bring them back before it is more")
 
