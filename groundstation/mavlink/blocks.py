@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from groundstation.core.quick import every, some
 from groundstation.core.types import BoolArray, IntArray
-from groundstation.mavlink.checksums import ROW, Sums, Words
+from groundstation.mavlink.checksums import ROW, Sums, Words, stretches_checksum
 from groundstation.mavlink.codec import Batch
 from groundstation.mavlink.layouts import crc_extra_bytes, layouts_by_id
 from groundstation.mavlink.splitting import (
@@ -37,6 +37,9 @@ from groundstation.mavlink.splitting import (
 _BEHIND = 2 * ROW  # bytes that may be read behind the last one
 _ID_MAX = 0xFFFF
 _SOURCES_MAX = 2_000
+_FEW = 100
+_CHAIN_MAX = 64  # frames of a datagram; more, and smaller ones, are searched for
+_OVERLAP_MAX = 4  # times that a byte is looked at by each frame that may lie there
 _SHORTEST = HEADER_V2 + CRC_BYTES  # a frame of MAVLink 2 without a payload
 _FEW_BYTES = 8_192  # as long as frames are quicker looked at one by one
 _FAR = np.iinfo(np.int64).max
@@ -147,7 +150,7 @@ class Block:
         msgid = self.msgid if among is None else self.msgid[among]
         batches = []
         known = layouts_by_id()
-        for number in dict.fromkeys(msgid.tolist()):  # in the order in which they first appear
+        for number in _in_order(msgid):
             shape = known.get(number)
             if shape is None or (wanted is not None and number not in wanted):
                 continue
@@ -156,9 +159,8 @@ class Block:
                 rows = among[rows]
             values = self._window(shape.size)[self.payload[rows]]
             size = self.payload_size[rows]
-            sizes = size.tolist()
             # A newer dialect appends fields that this one does not know: what is past the size is not in the window.
-            least, most = min(sizes), min(max(sizes), shape.size)
+            least, most = int(size.min()), min(int(size.max()), shape.size)
             if least < shape.size:  # the rest was cut off, or never sent: it reads as zeros
                 raw = values.view(np.uint8).reshape(len(rows), shape.size)
                 raw[:, most:] = 0
@@ -278,8 +280,17 @@ def _behind(columns: Sequence[IntArray], before: Sequence[int]) -> IntArray:
 
 def split(data: bytes, datagrams: Datagrams) -> Block:
     """Finds the frames of datagrams that stand one behind the other."""
-    plain = _plain_begins(data, datagrams.offsets.tolist()) if len(data) <= _FEW_BYTES else []
-    return _plain_block(data, plain, datagrams) if plain else _search(data, datagrams)
+    size = len(data)
+    if size <= _FEW_BYTES:
+        begins = _plain_begins(data, datagrams.offsets.tolist())
+        if begins:
+            return _plain_block(data + bytes(_BEHIND), size, np.array(begins, dtype=np.int64), datagrams)
+    else:
+        padded = data + bytes(_BEHIND)
+        start = _plain_chains(padded, size, datagrams.offsets)
+        if len(start):
+            return _plain_block(padded, size, start, datagrams)
+    return _search(data, datagrams)
 
 
 def _search(data: bytes, datagrams: Datagrams) -> Block:
@@ -287,7 +298,7 @@ def _search(data: bytes, datagrams: Datagrams) -> Block:
     size = len(data)
     data += bytes(_BEHIND + -size % ROW)
     octets = np.frombuffer(data, dtype=np.uint8)
-    words: Words = np.ndarray((len(data) - 1,), dtype="<u2", buffer=data, strides=(1,))
+    words = _words_of(data)
     longs: IntArray = np.ndarray((size,), dtype="<i8", buffer=data, strides=(1,))
 
     at = _is_magic(octets[:size]).nonzero()[0]
@@ -304,17 +315,19 @@ def _search(data: bytes, datagrams: Datagrams) -> Block:
         at, datagram, head, second, payload, body_stop, flags, stop, limit = (
             column[fits] for column in (at, datagram, head, second, payload, body_stop, flags, stop, limit)
         )
-    long_id = ((head >> 56) & 0xFF) | (words[at + 8].astype(np.int64) << 8)
-    msgid = np.where(second, long_id, (head >> 40) & 0xFF)
+    msgid = np.where(second, _ids(head, words, at), (head >> 40) & 0xFF)
 
     extra = _extras()[np.minimum(msgid, _ID_MAX)]
     known = extra >= 0
     chosen = known.copy()
     if len(at):
         tested = slice(None) if every(known) else known.nonzero()[0]
-        sums = Sums(octets)
-        made = sums.checksums(at[tested] + 1, body_stop[tested], extra[tested].astype(np.uint16))
-        chosen[tested] = made == words[body_stop[tested]]
+        begins, ends, more = at[tested] + 1, body_stop[tested], extra[tested].astype(np.uint16)
+        if int((ends - begins).sum()) <= _OVERLAP_MAX * size:
+            made = stretches_checksum(data, begins, ends, more)
+        else:  # made up to take long
+            made = Sums(octets).checksums(begins, ends, more)
+        chosen[tested] = made == words[ends]
         if not isinstance(tested, slice):
             unknown = (~known).nonzero()[0]
             good = np.append(at[chosen], _FAR)
@@ -371,15 +384,50 @@ def _plain_begins(data: bytes, offsets: list[int]) -> list[int]:
     return begins
 
 
-def _plain_block(data: bytes, begins: list[int], datagrams: Datagrams) -> Block:
-    """A block of nothing but whole, unsigned, known frames of MAVLink 2 that begin there."""
-    size = len(data)
-    data += bytes(_BEHIND)
-    start = np.array(begins, dtype=np.int64)
+def _plain_chains(data: bytes, size: int, offsets: IntArray) -> IntArray:
+    """The same where there are many: of all datagrams one frame after the other, with zeros behind the data."""
+    heads: IntArray = np.ndarray((size,), dtype="<i8", buffer=data, strides=(1,))
+    none: IntArray = np.zeros(0, dtype=np.int64)
+    at, end = offsets[:-1], offsets[1:]
+    chains: list[IntArray] = []
+    while True:
+        on = at < end
+        if not every(on):
+            at, end = at[on], end[on]
+            if not len(at):
+                break
+        head = heads[at]
+        following = at + (((head >> 8) & 0xFF) + _SHORTEST)
+        if len(chains) == _CHAIN_MAX or not every(((head & 0xFF00FF) == MAGIC_V2) & (following <= end)):
+            return none
+        chains.append(at)
+        at = following
+    if not chains:
+        return none
+    start = chains[0] if len(chains) == 1 else np.sort(np.concatenate(chains))
+    head, words = heads[start], _words_of(data)
+    extra = _extras()[np.minimum(_ids(head, words, start), _ID_MAX)]
+    if int(extra.min()) < 0:
+        return none
+    stop = start + (((head >> 8) & 0xFF) + HEADER_V2)
+    made = stretches_checksum(data, start + 1, stop, extra.astype(np.uint16))
+    return start if every(made == words[stop]) else none
+
+
+def _words_of(data: bytes) -> Words:
+    """Two bytes from every byte on; a view."""
+    return np.ndarray((len(data) - 1,), dtype="<u2", buffer=data, strides=(1,))
+
+
+def _ids(head: IntArray, words: Words, start: IntArray) -> IntArray:
+    """Message ids of frames of MAVLink 2, from their first eight bytes and the two behind these."""
+    return ((head >> 56) & 0xFF) | (words[start + 8].astype(np.int64) << 8)
+
+
+def _plain_block(data: bytes, size: int, start: IntArray, datagrams: Datagrams) -> Block:
+    """A block of nothing but whole, unsigned, known frames of MAVLink 2 that begin there; zeros are behind the data."""
     head = np.ndarray((size,), dtype="<i8", buffer=data, strides=(1,))[start]
-    rest: Words = np.ndarray((size,), dtype="<u2", buffer=data, offset=8, strides=(1,))[start]
-    count = len(begins)
-    payload_size = (head >> 8) & 0xFF
+    count, payload_size = len(start), (head >> 8) & 0xFF
     return Block(
         data,
         size,
@@ -387,7 +435,7 @@ def _plain_block(data: bytes, begins: list[int], datagrams: Datagrams) -> Block:
         start + (payload_size + _SHORTEST),
         start + HEADER_V2,
         payload_size,
-        ((head >> 56) & 0xFF) | (rest.astype(np.int64) << 8),
+        _ids(head, _words_of(data), start),
         np.ones(count, dtype=np.bool_),
         (head >> 32) & 0xFF,
         (head >> 40) & 0xFF,
@@ -396,6 +444,19 @@ def _plain_block(data: bytes, begins: list[int], datagrams: Datagrams) -> Block:
         np.searchsorted(datagrams.offsets, start, side="right") - 1,
         datagrams,
     )
+
+
+def _in_order(numbers: IntArray) -> list[int]:
+    """Each number once, in the order in which they first appear."""
+    if len(numbers) <= _FEW:
+        return list(dict.fromkeys(numbers.tolist()))
+    found = []
+    while len(numbers):
+        found.append(int(numbers[0]))
+        numbers = numbers[numbers != found[-1]]
+        if len(found) == _FEW:  # so many kinds are not the usual
+            return found + list(dict.fromkeys(numbers.tolist()))
+    return found
 
 
 def _is_magic(octets: NDArray[np.uint8]) -> BoolArray:

@@ -14,12 +14,14 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from fastcrc import crc16
 from numpy.typing import NDArray
 
 ROW = 256
 """Bytes of a row; buffers given to ``Sums`` have whole rows."""
 _GROUP = 4
 _AT_ONCE = 48  # rows
+_FEW_ALIKE = 16  # stretches of one length; fewer are looked at one by one
 _LONGEST = 272  # bytes that ``rows_checksum`` takes
 _START = 0xFFFF
 _POLYNOMIAL = 0x8408  # reversed
@@ -122,6 +124,52 @@ class Sums:
         """Sum from the begin of a row up to a byte in it, without it."""
         before: Words = self._within[at] ^ self._groups[at >> 2]
         return before
+
+
+def stretches_checksum(data: bytes, start: IntArray, stop: IntArray, extra: Words) -> Words:
+    """The same for stretches that hardly overlap: of those that are equally long two bytes are taken at a time, of all.
+
+    Args:
+        data: bytes.
+        start: first bytes, shape (k,).
+        stop: behind the last bytes, shape (k,), below ``len(data)``.
+        extra: the bytes that follow, shape (k,).
+
+    Returns:
+        Shape (k,).
+    """
+    length = stop - start
+    counts = np.bincount(length)
+    many = (counts >= _FEW_ALIKE).nonzero()[0].tolist()
+    if len(many) == 1 and counts[many[0]] == len(start):
+        return _with_extra(_alike(data, start, many[0]), extra)
+    register: Words = np.empty(len(start), dtype=np.uint16)
+    for size in many:
+        rows = (length == size).nonzero()[0]
+        register[rows] = _alike(data, start[rows], size)
+    rows = (counts < _FEW_ALIKE)[length].nonzero()[0]
+    if len(rows):
+        ends = zip(start[rows].tolist(), stop[rows].tolist(), strict=True)
+        register[rows] = [crc16.mcrf4xx(data[begin:end]) for begin, end in ends]
+    return _with_extra(register, extra)
+
+
+def _alike(data: bytes, start: IntArray, size: int) -> Words:
+    """Registers behind stretches of one length, shape (k,)."""
+    double, width = _double_step(), size + (size & 1)
+    window: NDArray[np.void] = np.ndarray((len(data) - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))
+    columns: Words = window[start].view("<u2").reshape(len(start), width // 2).T
+    register: Words = np.full(len(start), _START, dtype=np.uint16)
+    for pair in columns[: size // 2]:
+        register = double.take(register ^ pair)
+    return _with_extra(register, columns[-1] & np.uint16(0xFF)) if size & 1 else register
+
+
+@cache
+def _double_step() -> Words:
+    """Two steps at once, by the register with two bytes added to it."""
+    once = _with_extra(np.arange(1 << 16, dtype=np.uint16), np.uint16(0))
+    return _with_extra(once, np.uint16(0))
 
 
 def rows_checksum(rows: NDArray[np.uint8], length: IntArray, extra: int) -> Words:

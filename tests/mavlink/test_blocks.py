@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from pymavlink.dialects.v20 import common
 
 from groundstation.mavlink import blocks
 from groundstation.mavlink.blocks import Arrivals, Block, merge
-from groundstation.mavlink.checksums import ROW, Sums, rows_checksum
+from groundstation.mavlink.checksums import ROW, Sums, rows_checksum, stretches_checksum
 from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, blank, decode, encode_batch, encode_rows, layout
 from groundstation.mavlink.station import Station
 from groundstation.mavlink.vehicle import Fleet
@@ -54,19 +55,20 @@ def test_a_block_is_what_its_datagrams_are_one_by_one(datagrams: list[bytes], cu
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.lists(st.sampled_from(PLAIN), max_size=9).map(b"".join), min_size=1, max_size=5), st.data())
-def test_frames_without_anything_else_are_found_alike_in_both_ways(datagrams: list[bytes], draw: st.DataObject) -> None:
-    """Looked at one by one, as few of them are, and all together; with one byte wrong as well."""
+def test_frames_without_anything_else_are_found_alike_in_all_ways(datagrams: list[bytes], draw: st.DataObject) -> None:
+    """One by one, one behind the other, and by whatever may begin one; with one byte wrong as well."""
     data = bytearray(b"".join(datagrams))
     offsets = np.cumsum([0, *map(len, datagrams)])
     if data and draw.draw(st.booleans()):
         data[draw.draw(st.integers(0, len(data) - 1))] ^= draw.draw(st.integers(1, 255))
     none = np.zeros(len(datagrams), dtype=np.int64)
     where = blocks.Datagrams(offsets, none, none, none, ((0, "p"),))
-    both = blocks.split(bytes(data), where), blocks._search(bytes(data), where)
-    pieces = [[item[2] for item in block.pieces()] for block in both]
-    assert pieces[0] == pieces[1]
-    one, other = ([column.tolist() for column in _columns(block)] for block in both)
-    assert one == other
+    with mock.patch.object(blocks, "_FEW_BYTES", -1):
+        chains = blocks.split(bytes(data), where)
+    expected = blocks._search(bytes(data), where)
+    for block in (blocks.split(bytes(data), where), chains):
+        assert [item[2] for item in block.pieces()] == [item[2] for item in expected.pieces()]
+        assert [column.tolist() for column in _columns(block)] == [column.tolist() for column in _columns(expected)]
 
 
 def _columns(block: Block) -> list[Any]:
@@ -87,6 +89,9 @@ def test_checksums_are_those_of_an_independent_implementation(data: bytes, draw:
         for start, stop, byte in zip(starts, stops, extra.tolist(), strict=True)
     ]
     assert made.tolist() == expected
+    for times in (1, 16):  # as many of one length as are taken together
+        columns = (np.repeat(column, times) for column in (starts, stops, extra))
+        assert stretches_checksum(padded.tobytes(), *columns).tolist() == np.repeat(expected, times).tolist()
     width = min(len(data), 265)
     rows = np.array([list(data[:width]), [0] * width], dtype=np.uint8)
     rows[0, width // 2 :] = 0
