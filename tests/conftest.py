@@ -5,6 +5,11 @@ from __future__ import annotations
 import gc
 import signal
 
+from hypothesis import settings
+
+settings.register_profile("untimed", deadline=None)  # how long something takes depends on what else the machine does
+settings.load_profile("untimed")
+
 
 def pytest_configure() -> None:
     """A run that a script has put into the background ignores Ctrl-C, and all that it starts would as well."""

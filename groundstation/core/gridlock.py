@@ -18,7 +18,7 @@ Refuses to know where anybody is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 _IN_THE_WAY = 0.3  # share of the last moments in which somebody stood in the way, from which it counts
+_NOTHING = 1e-12
 _BACK_OFF = 1.5  # how far an agent backs off, in distances to keep
 _WORTH_M = 0.1  # nearer than this share of the distance to keep to its place nobody sets out on a detour
 
@@ -91,15 +92,16 @@ class Sensed:
     """What m = n agents know of themselves at one tick, in their own level axes (east, north, up).
 
     Attributes:
-        rel_m: position of j relative to i, shape (n, n, 3); anything where not visible.
-        visible: agent i sees agent j, shape (n, n).
+        rel_m: position of j relative to i, shape (n, k, 3); anything where not visible.
+        visible: agent i sees agent j, shape (n, k).
         vel_m_s: own velocity, shape (n, 3).
         wish_m_s: what the agent wishes, before avoidance, shape (n, 3).
-        in_the_way: j bounds or blocks what i wishes, shape (n, n).
+        in_the_way: j bounds or blocks what i wishes, shape (n, k).
         low_m: corner of the box that may be flown in, relative to each agent, shape (n, 3).
         high_m: its other corner.
         walled: an obstacle bounds what i wishes, shape (n,); None where there are none.
         pos_m: own place in the axes in which obstacles are known, shape (n, 3); None where there are none.
+        who: who stands in the columns of each agent, ascending where visible, shape (n, k); None where j is column j.
     """
 
     rel_m: FloatArray
@@ -111,6 +113,85 @@ class Sensed:
     high_m: FloatArray
     walled: BoolArray | None = None
     pos_m: FloatArray | None = None
+    who: IntArray | None = None
+
+    def of_all(self) -> Sensed:
+        """The same with a column for everybody, k = n: as large as the square of the team."""
+        if self.who is None:
+            return self
+        n = len(self.who)
+        rows, columns = self.visible.nonzero()
+        place = rows, self.who[rows, columns]
+        rel_m, visible, in_the_way = np.zeros((n, n, 3)), np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
+        rel_m[place], visible[place] = self.rel_m[rows, columns], True
+        in_the_way[place] = self.in_the_way[rows, columns]
+        return replace(self, rel_m=rel_m, visible=visible, in_the_way=in_the_way, who=None)
+
+
+class _Held:
+    """In which share of the last moments agents stood in each other's way.
+
+    Args:
+        n: number of agents.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._shares: FloatArray = np.zeros((n, n))
+
+    def take(self, sensed: Sensed, keep: float) -> None:
+        """Takes who stands in whose way; ``keep`` is what is left of what was before."""
+        self._shares = keep * self._shares + (1.0 - keep) * (sensed.in_the_way & sensed.visible)
+
+    def most(self) -> FloatArray:
+        """The largest of each agent, shape (n,)."""
+        return np.asarray(self._shares.max(axis=1))
+
+    def by_whom(self, agent: int) -> IntArray:
+        """Those that have stood in one's way, ascending."""
+        return np.asarray((self._shares[agent] > _IN_THE_WAY).nonzero()[0])
+
+    def much(self) -> BoolArray:
+        """Who has stood in whose way, shape (n, n)."""
+        return np.asarray(self._shares > _IN_THE_WAY)
+
+
+class _HeldByFew:
+    """The same where most agents are far from most others: shares of pairs that are not zero."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self._pairs: IntArray = np.zeros(0, dtype=np.int64)
+        self._shares: FloatArray = np.zeros(0)
+
+    def take(self, sensed: Sensed, keep: float) -> None:
+        """See ``_Held``; shares that have faded to nothing are forgotten."""
+        rows, columns = (sensed.in_the_way & sensed.visible).nonzero()
+        others = columns if sensed.who is None else sensed.who[rows, columns]
+        now = rows * self._n + others
+        self._shares *= keep
+        both = np.union1d(self._pairs, now)
+        shares = np.zeros(len(both))
+        shares[np.searchsorted(both, self._pairs)] = self._shares
+        shares[np.searchsorted(both, now)] += 1.0 - keep
+        kept = shares > _NOTHING
+        self._pairs, self._shares = both[kept], shares[kept]
+
+    def most(self) -> FloatArray:
+        """See ``_Held``."""
+        most = np.zeros(self._n)
+        np.maximum.at(most, self._pairs // self._n, self._shares)
+        return most
+
+    def by_whom(self, agent: int) -> IntArray:
+        """See ``_Held``."""
+        mine = self._pairs[self._shares > _IN_THE_WAY]
+        return np.asarray(mine[mine // self._n == agent] % self._n)
+
+    def much(self) -> BoolArray:
+        """See ``_Held``."""
+        mine, much = self._pairs[self._shares > _IN_THE_WAY], np.zeros((self._n, self._n), dtype=np.bool_)
+        much[mine // self._n, mine % self._n] = True
+        return much
 
 
 class Gridlocks:
@@ -141,11 +222,11 @@ class Gridlocks:
         self.detours: BoolArray = np.zeros(n, dtype=np.bool_)
         self._wish: FloatArray = np.zeros((n, 3))
         self._vel: FloatArray = np.zeros((n, 3))
-        self._held: FloatArray = np.zeros((n, n))
+        self._held: _Held | _HeldByFew | None = None
         self._walled: FloatArray = np.zeros(n)
         self._stuck_s: FloatArray = np.zeros(n)
         self._pause_s: FloatArray = np.zeros(n)
-        self._undo_s: FloatArray = np.zeros((n, n))
+        self._undo_s: dict[tuple[int, int], float] = {}
         self._ways: list[FloatArray] = [np.zeros((0, 3))] * n
         self._left_s: FloatArray = np.zeros(n)
         self._tries: IntArray = np.zeros(n, dtype=np.int64)
@@ -180,21 +261,23 @@ class Gridlocks:
         keep = np.exp(-params.tick_s / params.memory_s)
         self._wish = keep * self._wish + (1.0 - keep) * sensed.wish_m_s
         self._vel = keep * self._vel + (1.0 - keep) * np.where(np.isfinite(sensed.vel_m_s), sensed.vel_m_s, 0.0)
-        self._held = keep * self._held + (1.0 - keep) * (sensed.in_the_way & sensed.visible)
+        if self._held is None:
+            self._held = _Held(self._n) if sensed.who is None else _HeldByFew(self._n)
+        self._held.take(sensed, float(keep))
         if sensed.walled is not None:
             self._walled = keep * self._walled + (1.0 - keep) * sensed.walled
         square = (self._wish * self._wish).sum(axis=1)
         along = (self._vel * self._wish).sum(axis=1)
         stuck = square > (params.least_wish * params.speed_limit_m_s) ** 2
         stuck &= along < params.progress * square
-        stuck &= (np.maximum(self._held.max(axis=1), self._walled) > _IN_THE_WAY) & ~absent
+        stuck &= (np.maximum(self._held.most(), self._walled) > _IN_THE_WAY) & ~absent
         self.detours &= ~absent
         self._stuck_s = np.where(stuck, self._stuck_s + params.tick_s, 0.0)
         locked = self._stuck_s >= params.patience_s
         self.begun = locked & ~self.locked
         self.locked = locked
         self._pause_s = np.maximum(self._pause_s - params.tick_s, 0.0)
-        self._undo_s = np.maximum(self._undo_s - params.tick_s, 0.0)
+        self._undo_s = {pair: left_s - params.tick_s for pair, left_s in self._undo_s.items() if left_s > params.tick_s}
         free = ~self.detours & ~locked & (self._stuck_s == 0.0)
         self._tries = np.where(free & (along > 0.5 * square), 0, self._tries)
 
@@ -202,17 +285,21 @@ class Gridlocks:
         """Pairs that swap their roles now, each agent in one pair at most.
 
         Args:
-            sensed: this tick.
+            sensed: this tick, of all.
             places: what each agent makes of its view.
             may: agents whose roles are theirs to give away, shape (n,).
 
         Returns:
             Pairs i < j; their roles are to be exchanged.
         """
-        asks = self.locked[:, None] & (self._held > _IN_THE_WAY)
+        if self._held is None or not some(self.locked):
+            return []
+        asks = self.locked[:, None] & self._held.much()
         asks |= asks.T
         may = may & (self._pause_s == 0.0)
-        asks &= may[:, None] & may[None] & (self._undo_s == 0.0) & sensed.visible & sensed.visible.T
+        asks &= may[:, None] & may[None] & sensed.visible & sensed.visible.T
+        for i, j in self._undo_s:
+            asks[i, j] = asks[j, i] = False
         if not some(asks):
             return []
         rel = np.where(sensed.visible[..., None], sensed.rel_m, 0.0)
@@ -227,7 +314,7 @@ class Gridlocks:
             gain_m2[[i, j]] = 0.0
             gain_m2[:, [i, j]] = 0.0
             both = [i, j]
-            self._undo_s[i, j] = self._undo_s[j, i] = self.params.undo_s
+            self._undo_s[i, j] = self.params.undo_s
             self._pause_s[both] = self.params.pause_s
             self._stuck_s[both] = 0.0
             self._tries[both] = self._sent[both] = 0
@@ -241,7 +328,7 @@ class Gridlocks:
         """Sends agents that are locked in on detours; one at most in a tick, for planning takes time.
 
         Args:
-            sensed: this tick.
+            sensed: this tick, of all.
             to_goal_m: from each agent to where it belongs, shape (n, 3).
             absent: agents that do not follow, shape (n,).
             patience_s: how long an agent is stuck before it sets out; most gridlocks dissolve by themselves.
@@ -251,13 +338,15 @@ class Gridlocks:
         Returns:
             Agents that begin a detour, or back off, now.
         """
+        if self._held is None:
+            return []
         over_s = self._stuck_s - patience_s * (np.maximum(self._sent, 1) if rarer else 1)
         for i in np.argsort(-over_s, kind="stable").tolist():
             if over_s[i] < 0.0:
                 break
             if float(np.linalg.norm(to_goal_m[i])) < _WORTH_M * self.params.keep_out_m:
                 continue
-            holders = np.flatnonzero(self._held[i] > _IN_THE_WAY)
+            holders = self._held.by_whom(i)
             # Those who hold each other move one after the other.
             if self.detours[holders].any() and not self.detours[i]:
                 continue

@@ -5,11 +5,35 @@ Refuses nothing and decides nothing: numbers for monitors, reports and tests.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from groundstation.core.quick import finite_rows, norms, pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
+
+_MANY = 64  # agents; for as many a search is quicker than all pairs
+
+
+def near_pairs(pos_m: FloatArray, within_m: float) -> tuple[IntArray, IntArray]:
+    """Pairs of agents among which are all that are within a distance: all pairs of a few, those near of many.
+
+    Args:
+        pos_m: shape (n, 3), any one frame; unknown positions (NaN) are in no pair of many.
+        within_m: how near those are at most that matter, > 0.
+
+    Returns:
+        First and second of each pair, shape (k,), the first before the second, pairs in ascending order.
+    """
+    if len(pos_m) < _MANY:
+        return pairs(len(pos_m))
+    index = finite_rows(pos_m).nonzero()[0]
+    found = cKDTree(pos_m[index]).query_pairs(within_m * (1.0 + 1e-9), output_type="ndarray")
+    first, second = index[found.reshape(-1, 2)].T
+    order = np.lexsort((second, first))
+    return first[order], second[order]
 
 
 def pair_distances_m(pos_m: FloatArray) -> FloatArray:
@@ -88,8 +112,23 @@ def min_distance_m(pos_m: FloatArray, counted: BoolArray | None = None, *, flyin
     Returns:
         Metres; infinite when no pair counts.
     """
+    if len(pos_m) >= _MANY:
+        return _nearest_m(pos_m, counted, flying)
     first, second = _pairs(pos_m, counted, flying)
     return float(norms(pos_m[second] - pos_m[first]).min(initial=np.inf))
+
+
+def _nearest_m(pos_m: FloatArray, counted: BoolArray | None, flying: BoolArray | None) -> float:
+    """The same by a search for the nearest of each, so that large teams do not cost the square of their size."""
+    here = finite_rows(pos_m) if counted is None else finite_rows(pos_m) & counted
+    rows = here.nonzero()[0]
+    asking = rows if flying is None else (here & flying).nonzero()[0]
+    if len(rows) < 2 or not len(asking):
+        return math.inf
+    _, nearest = cKDTree(pos_m[rows]).query(pos_m[asking], k=2)
+    found = rows[nearest]
+    other = np.where(found[:, 0] == asking, found[:, 1], found[:, 0])  # two may be in one place
+    return float(norms(pos_m[other] - pos_m[asking]).min())
 
 
 def min_clearance(

@@ -167,8 +167,10 @@ class Station:
             frames[row].append(raw)
         for vehicle, raw in self._own_poses():
             frames[vehicle].append(raw)
-        for request in fleet.take_timesync_requests():
-            frames[request.vehicle].append(self._encoder.encode("TIMESYNC", tc1=request.t_rx_ns, ts1=request.ts1_ns))
+        requests = fleet.take_timesync_requests()
+        answers = self._timesyncs([request.t_rx_ns for request in requests], [request.ts1_ns for request in requests])
+        for request, raw in zip(requests, answers, strict=True):
+            frames[request.vehicle].append(raw)
         for sending in self.commands.due(now_ns):
             params = {f"param{k}": value for k, value in enumerate(sending.command.padded(), start=1)}
             frames[sending.vehicle].append(
@@ -192,13 +194,16 @@ class Station:
             self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
             for vehicle in self._one_per_peer():
                 frames[vehicle].append(ground_station_heartbeat(self._encoder))
-            heard = {int(link) for link, peer in zip(fleet.link, fleet.peer, strict=True) if peer is not None}
+            at = zip(fleet.link.tolist(), fleet.peer, strict=True) if self._greeted else ()
+            heard = {link for link, peer in at if peer is not None}
             for link, peer in self._greeted:
                 if link not in heard:
                     outgoing.append(Outgoing(link, peer, (ground_station_heartbeat(self._encoder),)))
-        for vehicle, peer_or_none in enumerate(fleet.peer):
-            if peer_or_none is not None and frames[vehicle]:
-                outgoing.append(Outgoing(int(fleet.link[vehicle]), peer_or_none, tuple(frames[vehicle])))
+        outgoing += [
+            Outgoing(link, peer, tuple(made))
+            for link, peer, made in zip(fleet.link.tolist(), fleet.peer, frames, strict=True)
+            if made and peer is not None
+        ]
         return outgoing
 
     def transmit_poses(self) -> list[Outgoing]:
@@ -245,10 +250,18 @@ class Station:
     def _one_per_peer(self) -> list[int]:
         """The first vehicle of every address that was heard from."""
         first: dict[tuple[int, str], int] = {}
-        for vehicle, peer in enumerate(self.fleet.peer):
+        for vehicle, (link, peer) in enumerate(zip(self.fleet.link.tolist(), self.fleet.peer, strict=True)):
             if peer is not None:
-                first.setdefault((int(self.fleet.link[vehicle]), peer), vehicle)
+                first.setdefault((link, peer), vehicle)
         return list(first.values())
+
+    def _timesyncs(self, tc1_ns: list[int], ts1_ns: list[int]) -> list[bytes]:
+        """TIMESYNC frames, in this order."""
+        if not ts1_ns:
+            return []
+        values = blank("TIMESYNC", len(ts1_ns))
+        values["tc1"], values["ts1"] = tc1_ns, ts1_ns
+        return encode_batch("TIMESYNC", values, [self._encoder] * len(ts1_ns))
 
     def _synchronise(self, now_ns: int, frames: list[list[bytes]]) -> None:
         """Asks for the vehicles' time, once for all behind one address: all of them answer."""
@@ -261,8 +274,9 @@ class Station:
         peers = self.fleet.peer
         hurry = any(peer is not None and clocks.samples[i] < _TIMESYNC_ENOUGH for i, peer in enumerate(peers))
         self._next_timesync_ns = now_ns + (_TIMESYNC_EAGER_NS if hurry else _TIMESYNC_NS)
-        for vehicle in self._one_per_peer():
-            frames[vehicle].append(self._encoder.encode("TIMESYNC", tc1=0, ts1=now_ns))
+        asked = self._one_per_peer()
+        for vehicle, raw in zip(asked, self._timesyncs([0] * len(asked), [now_ns] * len(asked)), strict=True):
+            frames[vehicle].append(raw)
         for vehicle, peer in enumerate(peers):
             if peer is not None:
                 clocks.asked(vehicle, now_ns)

@@ -258,3 +258,36 @@ def test_in_formation_every_agent_finds_its_own_place_from_what_it_sees(
     np.testing.assert_array_equal(alone.to_own_m[0], own.to_own_m[agent])
     twice = own_places(2.0 * (pos[None] - pos[:, None]), seen, points, free_scale=True)
     np.testing.assert_allclose(twice.from_centre_m, 2.0 * own.from_centre_m, atol=1e-9)
+
+
+def test_agents_that_see_only_those_near_are_locked_in_as_with_a_column_for_everybody() -> None:
+    rng, n = np.random.default_rng(5), 6
+    who = np.array([[1, 2], [0, 2], [0, 1], [4, 5], [3, 5], [3, 4]])
+    few, all_of_them = Gridlocks(n, PARAMS), Gridlocks(n, PARAMS)
+    nobody = np.zeros(n, dtype=np.bool_)
+    was_locked = nobody
+    for _ in range(400):
+        near = Sensed(
+            rel_m=rng.normal(size=(n, 2, 3)),
+            visible=rng.random((n, 2)) < 0.95,
+            vel_m_s=np.zeros((n, 3)),
+            wish_m_s=np.tile([0.4, 0.0, 0.0], (n, 1)),
+            in_the_way=rng.random((n, 2)) < [[0.9, 0.1]],
+            low_m=np.full((n, 3), -5.0),
+            high_m=np.full((n, 3), 5.0),
+            who=who,
+        )
+        full = near.of_all()
+        assert full.visible.sum() == near.visible.sum()
+        assert full.of_all() is full
+        few.sense(near, nobody)
+        all_of_them.sense(full, nobody)
+        np.testing.assert_array_equal(few.locked, all_of_them.locked)
+        was_locked = was_locked | few.locked
+    assert was_locked.all()
+    goals = np.tile([1.0, 0.0, 0.0], (n, 1))
+    assert few.begin_detours(full, goals, nobody, 0.1, rarer=True) == all_of_them.begin_detours(
+        full, goals, nobody, 0.1, rarer=True
+    )
+    places = Places(np.zeros((n, 3)), np.zeros((n, 3)), -full.rel_m)
+    assert few.swaps(full, places, ~nobody) == all_of_them.swaps(full, places, ~nobody)

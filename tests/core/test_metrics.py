@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.core import metrics
@@ -76,3 +76,21 @@ def test_sizes_are_told_level_and_upright_whoever_stands_where() -> None:
     assert np.isnan(upright)
     pos[0, 2] = np.nan
     assert np.isnan(metrics.size_ratios(pos, points)[1])
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(64, 90))
+def test_in_large_teams_a_search_finds_what_all_pairs_would(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    pos, region = rng.uniform(-2.0, 2.0, (n, 3)).round(1), SafetySphere(0.5, 0.5)  # some stand in one place
+    pos[rng.random(n) < 0.1] = np.nan
+    counted, flying = rng.random(n) < 0.7, rng.random(n) < 0.5
+    here = np.isfinite(pos[:, 0]) & counted
+    wanted = here[:, None] & here[None] & (flying[:, None] | flying[None]) & ~np.eye(n, dtype=np.bool_)
+    expected = metrics.pair_distances_m(pos)[wanted].min(initial=np.inf)
+    assert metrics.min_distance_m(pos, counted, flying=flying) == pytest.approx(expected, abs=1e-12)
+    first, second = metrics.near_pairs(pos, region.reach_m(0.0))
+    found = set(zip(first.tolist(), second.tolist(), strict=True))
+    near = np.argwhere(np.triu(metrics.pair_distances_m(pos) < region.reach_m(0.0), 1))
+    assert {(int(i), int(j)) for i, j in near} <= found
+    assert sorted(found) == list(zip(first.tolist(), second.tolist(), strict=True))

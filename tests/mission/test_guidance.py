@@ -140,8 +140,8 @@ def test_large_teams_are_guided_as_small_ones_are(monkeypatch: pytest.MonkeyPatc
         for by_pairs, by_search in zip(*told, strict=True):
             np.testing.assert_allclose(by_search.vel_ned_m_s, by_pairs.vel_ned_m_s, atol=1e-5)
             np.testing.assert_array_equal(by_search.blocked, by_pairs.blocked)
-            np.testing.assert_array_equal(by_search.sensed.in_the_way, by_pairs.sensed.in_the_way)
-            seen = by_search.sensed.visible
+            near, seen = by_search.sensed.of_all(), by_search.sensed.of_all().visible
+            np.testing.assert_array_equal(near.in_the_way, by_pairs.sensed.in_the_way)
             assert seen.any()
             assert not (seen & ~by_pairs.sensed.visible).any()
-            np.testing.assert_allclose(by_search.sensed.rel_m[seen], by_pairs.sensed.rel_m[seen], atol=1e-9)
+            np.testing.assert_allclose(near.rel_m[seen], by_pairs.sensed.rel_m[seen], atol=1e-9)

@@ -15,6 +15,7 @@ from groundstation.mission.flight.killing import Killing
 from groundstation.mission.flight.poses import Poses, changed, out_of_sight
 from groundstation.mission.flight.standing import Standing
 from groundstation.mission.ground.arming import Arming
+from groundstation.mission.monitors.findings import Lasting, LastingOf
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.roster import Duty, Roster, enlist
 from groundstation.mission.timing import SECOND_NS, AskAgain, Held, HeldEach, Since, SinceBefore, vehicle_list
@@ -267,3 +268,15 @@ def test_poses_that_change_in_part_are_what_replace_makes_and_keep_no_rotation_o
     same = replace(moved, quat_ned_from_frd=turned.quat_ned_from_frd)
     np.testing.assert_array_equal(turned.rot_ned_from_flu, same.rot_ned_from_flu)
     assert turned.pos_team_ned_m is moved.pos_team_ned_m
+
+
+def test_a_few_conditions_by_their_numbers_last_and_are_told_as_those_of_a_row_each() -> None:
+    rng = np.random.default_rng(2)
+    few, rows = LastingOf(0.2), Lasting(9, 0.2)
+    told = []
+    for tick in range(300):
+        so = rng.random(9) < 0.8
+        now_ns = tick * SECOND_NS // 20
+        told.append(few(so.nonzero()[0].tolist(), now_ns))
+        assert told[-1] == rows(so, now_ns)
+    assert sorted(row for found in told for row in found) == list(range(9))

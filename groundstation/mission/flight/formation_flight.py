@@ -330,6 +330,7 @@ class FormationFlight:
         self._now.figures.locked_in(gridlocks=int(locks.begun.sum()))
         if not some(locks.locked):
             return
+        sensed = sensed.of_all()
         if isinstance(way, Course):
             free = way.stage.scale.kind == "free"
             seen = sensed.visible & self._roster.in_formation[None]

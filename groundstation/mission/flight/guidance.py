@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from groundstation.core import frames
 from groundstation.core.avoidance import Avoided, avoid, straight_on
@@ -37,8 +35,6 @@ from groundstation.mission.plan.positioning import DEVIATIONS
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.plan.schema import AvoidanceSpec
 from groundstation.mission.plan.stages import Stage
-
-_T = TypeVar("_T", bound=np.generic)
 
 _MANY = 64
 """From so many vehicles on it is quicker to look for those near each than to look at all pairs."""
@@ -319,15 +315,6 @@ class Guide:
             poor_m_s=DEVIATIONS * poses.vel_error_m_s[:, None],
         )
 
-    def _everybody(self, columns: NDArray[_T], visible: BoolArray, who: IntArray | None) -> NDArray[_T]:
-        """Columns of those who are near as columns of everybody; as they are where they are that already."""
-        if who is None:
-            return columns
-        full = np.zeros((self._plan.size, self._plan.size, *columns.shape[2:]), dtype=columns.dtype)
-        rows, places = np.nonzero(visible)
-        full[rows, who[rows, places]] = columns[rows, places]
-        return full
-
     def _finish(
         self,
         poses: Poses,
@@ -401,15 +388,16 @@ class Guide:
         low_enu_m, high_enu_m = box.corners_enu_m
         pos_enu_m = frames.enu_from_ned(poses.pos_team_ned_m)
         sensed = Sensed(
-            rel_m=self._everybody(_enu_from_flu(poses, views.rel_pos_flu_m), views.visible, who),
-            visible=self._everybody(views.visible, views.visible, who),
+            rel_m=_enu_from_flu(poses, views.rel_pos_flu_m),
+            visible=views.visible,
             vel_m_s=frames.enu_from_ned(poses.vel_ned_m_s),
             wish_m_s=_enu_from_flu(poses, wish_flu_m_s),
-            in_the_way=self._everybody(avoided.in_the_way | damped.in_the_way, views.visible, who),
+            in_the_way=avoided.in_the_way | damped.in_the_way,
             low_m=low_enu_m - pos_enu_m,
             high_m=high_enu_m - pos_enu_m,
             walled=walled,
             pos_m=pos_enu_m if walled is not None else None,
+            who=who,
         )
         return Setpoints(vel_ned_m_s, avoided.blocked | damped.held, sensed, room)
 

@@ -236,3 +236,27 @@ class Lasting:
         news = held & ~self._told
         self._told |= news
         return [int(row) for row in news.nonzero()[0]]
+
+
+class LastingOf:
+    """The same of conditions that are few out of very many, by their numbers; each is told once.
+
+    Args:
+        for_s: how long without a break; 0 at once.
+    """
+
+    def __init__(self, for_s: float = 0.0) -> None:
+        self._for_ns = round(for_s * SECOND_NS)
+        self._since_ns: dict[int, int] = {}
+        self._told: set[int] = set()
+
+    def __call__(self, numbers: list[int], now_ns: int) -> list[int]:
+        """Takes the numbers of those that are so in this tick, ascending; returns those that are to be told now."""
+        if not numbers:
+            self._since_ns.clear()
+            return []
+        self._since_ns = {number: self._since_ns.get(number, now_ns) for number in numbers}
+        lasting = [number for number, since_ns in self._since_ns.items() if now_ns - since_ns >= self._for_ns]
+        news = [number for number in lasting if number not in self._told]
+        self._told.update(news)
+        return news

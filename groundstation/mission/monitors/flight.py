@@ -9,9 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core.limits import Fence
-from groundstation.core.quick import between, length, norms
+from groundstation.core.metrics import near_pairs
+from groundstation.core.quick import between, length, norms, some
 from groundstation.core.types import BoolArray, FloatArray
-from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, LastingOf, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, SinceBefore
@@ -115,32 +116,38 @@ class Distance:
     """
 
     def __init__(self, plan: MissionPlan) -> None:
-        n = plan.size
+        self._n = plan.size
         self._region = plan.region
         self._told_ns = round(plan.spec.limits.pose_lost_s * SECOND_NS)
-        self._first, self._second = np.triu_indices(n, 1)
-        self._lasting = Lasting(len(self._first), _BESIDE_S)
+        self._lasting = LastingOf(_BESIDE_S)
         # Without the whole of avoidance vehicles do come nearer than r, and whoever flies them so has been told.
         self._least = 1.0 if plan.spec.avoidance.method == "both" else _INCOMPLETE_SHARE
-        self._expected = Lasting(len(self._first), _BESIDE_S)
+        self._expected = LastingOf(_BESIDE_S)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings everybody back: what has kept them apart has failed."""
-        offsets = sight.pos_team_ned_m[self._second] - sight.pos_team_ned_m[self._first]
+        first, second = near_pairs(sight.pos_team_ned_m, self._region.reach_m(0.0))
+        offsets = sight.pos_team_ned_m[second] - sight.pos_team_ned_m[first]
         apart = self._region.clearance(offsets)
-        known = ~sight.blind & (sight.now_ns - sight.pose_ns < self._told_ns)
-        flies = sight.airborne & ours
-        near = (apart < 1.0) & known[self._first] & known[self._second] & (flies[self._first] | flies[self._second])
-        if self._least < 1.0:
-            for pair in self._expected(near & (apart >= self._least), sight.now_ns):
-                both = (int(self._first[pair]), int(self._second[pair]))
-                words = self._region.near_words(length(offsets[pair]), float(apart[pair]))
-                yield Finding(Reaction.SAY, words, both, pair=True)
-        for pair in self._lasting(near & (apart < self._least), sight.now_ns):
-            both = (int(self._first[pair]), int(self._second[pair]))
-            apart_m = length(offsets[pair])
-            words = self._region.near_words(apart_m, float(apart[pair]))
-            for other in (row for row in both if not ours[row]):  # one of them at least is ours: it flies
+        near: BoolArray = apart < 1.0
+        if some(near):
+            known = ~sight.blind & (sight.now_ns - sight.pose_ns < self._told_ns)
+            flies = sight.airborne & ours
+            near &= known[first] & known[second] & (flies[first] | flies[second])
+        rows = near.nonzero()[0]
+        numbers = (first[rows] * self._n + second[rows]).tolist()
+        of_pair = dict(zip(numbers, zip(rows.tolist(), apart[rows].tolist(), strict=True), strict=True))
+        expected = [number for number in numbers if of_pair[number][1] >= self._least]
+        wrong = [number for number in numbers if of_pair[number][1] < self._least]
+        for number in self._expected(expected, sight.now_ns):
+            row, clearance = of_pair[number]
+            words = self._region.near_words(length(offsets[row]), clearance)
+            yield Finding(Reaction.SAY, words, divmod(number, self._n), pair=True)
+        for number in self._lasting(wrong, sight.now_ns):
+            row, clearance = of_pair[number]
+            both = divmod(number, self._n)
+            words = self._region.near_words(length(offsets[row]), clearance)
+            for other in (vehicle for vehicle in both if not ours[vehicle]):  # one of them at least is ours: it flies
                 words = f"too near to vehicle {sight.fleet.sysid[other]}, {words}"
             yield Finding(Reaction.ALL_HOME, words, both, pair=True)
 

@@ -12,7 +12,7 @@ import numpy as np
 from groundstation.core.quick import some
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.vehicle import LANDED_LANDING
-from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.findings import Finding, LastingOf, Reaction, Sight
 from groundstation.mission.monitors.vehicles import Modes
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -28,7 +28,7 @@ class Sinking:
         # Pads may be exactly r apart, and positions are off by something.
         self._beside_m = max(plan.spec.avoidance.radius_m - plan.margin_m, 0.5 * plan.spec.avoidance.radius_m)
         self._by_itself: BoolArray = np.zeros(n, dtype=np.bool_)
-        self._told = Lasting(n * n)
+        self._told = LastingOf()
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells who comes down by itself, and who is below; where the first is not ours, those below are told of it."""
@@ -41,12 +41,14 @@ class Sinking:
         stands = ~sight.airborne
         sinks = (sight.vel_ned_m_s[:, 2] > _SINKS_M_S) | (fleet.landed_state == LANDED_LANDING)
         sinks &= self._by_itself & ~stands & ~sight.blind
-        away_m = sight.pos_team_ned_m[None] - sight.pos_team_ned_m[:, None]  # from who sinks to who is below
+        rows = sinks.nonzero()[0]
+        away_m = sight.pos_team_ned_m[None] - sight.pos_team_ned_m[rows, None]  # from who sinks to who is below
         beside_m, below_m = np.hypot(away_m[..., 0], away_m[..., 1]), away_m[..., 2]
-        under = sinks[:, None] & (below_m > 0.0) & (beside_m < self._beside_m) & ~np.eye(n, dtype=np.bool_)
-        for pair in self._told(under.ravel(), sight.now_ns):
-            who, other = divmod(pair, n)
-            below, beside = f"{below_m[who, other]:.1f} m", f"{beside_m[who, other]:.2f} m beside"
+        above, others = ((below_m > 0.0) & (beside_m < self._beside_m) & (rows[:, None] != np.arange(n))).nonzero()
+        of_pair = dict(zip((rows[above] * n + others).tolist(), above.tolist(), strict=True))
+        for pair in self._told(list(of_pair), sight.now_ns):
+            row, (who, other) = of_pair[pair], divmod(pair, n)
+            below, beside = f"{below_m[row, other]:.1f} m", f"{beside_m[row, other]:.2f} m beside"
             can_leave = ours[other] and not (stands | sight.blind | self._by_itself)[other]
             if ours[who]:
                 then = "which gets out of the way" if can_leave else "and cannot be told to leave; keep people away"
