@@ -16,10 +16,11 @@ from rich.text import Text
 
 from groundstation.mission.ground.check_table import CheckRow
 
-_COLUMNS = (
+COLUMNS = (
     "vehicle", "role", "firmware", "mode", "heard", "estimator", "pose", "off pad", "rates", "clock", "battery",
     "failsafe", "state",
 )  # fmt: skip
+"""Of the table."""
 _INDENT, _BETWEEN = "  ", "   "
 
 
@@ -39,9 +40,10 @@ def check_table(rows: Sequence[CheckRow]) -> Table:
     heard: since the last heartbeat; pose: age of position and attitude; off pad, rates (positions + attitudes) and
     battery: what is, and after the stroke what is allowed, asked for, needed; clock: how far off times may be.
     """
-    table = Table(*_COLUMNS)
+    table = Table(*COLUMNS)
     for row in rows:
-        table.add_row(*_cells(row))
+        *cells, state = cells_of(row)
+        table.add_row(*cells, Text(state, style=_style(row)))
     return table
 
 
@@ -49,10 +51,10 @@ def check_list(rows: Sequence[CheckRow], width: int) -> list[Text]:
     """The rows as lines of at most ``width`` columns, unless a single entry is longer."""
     lines = []
     for row in rows:
-        vehicle, role, *cells, state = _cells(row)
-        lines.append(Text(f"vehicle {vehicle}, role {role}: ") + state)
+        vehicle, role, *cells, state = cells_of(row)
+        lines.append(Text(f"vehicle {vehicle}, role {role}: ") + Text(state, style=_style(row)))
         line = ""
-        for name, cell in zip(_COLUMNS[2:-1], cells, strict=True):
+        for name, cell in zip(COLUMNS[2:-1], cells, strict=True):
             entry = f"{name} {cell}"
             if line and len(_INDENT + line + _BETWEEN + entry) > width:
                 lines.append(Text(_INDENT + line))
@@ -62,7 +64,8 @@ def check_list(rows: Sequence[CheckRow], width: int) -> list[Text]:
     return lines
 
 
-def _cells(row: CheckRow) -> tuple[Any, ...]:
+def cells_of(row: CheckRow) -> tuple[str, ...]:
+    """A row in words, in the order of ``COLUMNS``."""
     return (
         str(row.id),
         str(row.role),
@@ -76,7 +79,7 @@ def _cells(row: CheckRow) -> tuple[Any, ...]:
         _figure(1000.0 * row.clock_s, "±{:.0f} ms"),
         f"{_figure(100.0 * row.battery, '{:.0f}')}/{100.0 * row.battery_need:.0f} %",
         row.failsafe or "-",
-        _state(row),
+        "ready" if row.ready else "not ready" if row.problems else "not checked",
     )
 
 
@@ -85,10 +88,8 @@ def rows_as_values(rows: Sequence[CheckRow]) -> list[dict[str, Any]]:
     return [{**asdict(row), "ready": row.ready} for row in rows]
 
 
-def _state(row: CheckRow) -> Text:
-    if row.ready:
-        return Text("ready", style="bold green")
-    return Text("not ready" if row.problems else "not checked", style="bold red")
+def _style(row: CheckRow) -> str:
+    return "bold green" if row.ready else "bold red"
 
 
 def _figure(value: float, form: str) -> str:

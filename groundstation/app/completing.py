@@ -13,7 +13,7 @@ import typer
 from groundstation.app.packaged import packaged_configs, packaged_names
 
 Completer = Callable[[str], list[str]]
-ORDERS = "hold", "resume", "return", "land", "kill", "silence", "move", "turn", "scale", "stay", "next"
+ORDERS = "hold", "resume", "return", "land", "kill", "silence", "move", "turn", "scale", "stay", "next", "start", "fix"
 """What can be ordered, as ``mission.operator`` has it."""
 SHAPES = "ring", "line", "v", "grid", "cube", "sphere"
 """Shapes that a formation can be made of, as ``design.common_shapes`` has them."""

@@ -56,9 +56,10 @@ from sitl.world import World
 _FLIGHTS = Path("flights")
 
 
-def with_fix(changes: list[str] | None, *, fix: bool) -> list[str]:
-    """The changes of the command line; ``--fix`` is one of the mission, so that a replay knows of it."""
-    return [*(changes or ()), *(["failsafe.set_parameters=true"] if fix else [])]
+def with_options(changes: list[str] | None, *, fix: bool, wait: bool = False) -> list[str]:
+    """The changes of the command line; ``--fix`` and ``--wait`` are of the mission, so that a replay knows of them."""
+    asked = (fix, "failsafe.set_parameters=true"), (wait, "takeoff.wait=true")
+    return [*(changes or ()), *(change for is_asked, change in asked if is_asked)]
 
 
 def judged(out: Output, path: Path, changes: Sequence[str]) -> MissionPlan:

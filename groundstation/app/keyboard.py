@@ -22,9 +22,9 @@ from typing import Any
 from groundstation.app.session import Session
 from groundstation.mission.operator import parse_command
 
-HELP = "h hold  r resume  b back to the pads  l land here  k kill  Ctrl-C back, again: end setpoints"
+HELP = "s start  h hold  r resume  b back to the pads  l land here  k kill  Ctrl-C back, again: end setpoints"
 KILL_WORD = "kill"
-_AT_ONCE = {"h": "hold", "r": "resume", "b": "return"}
+_AT_ONCE = {"s": "start", "h": "hold", "r": "resume", "b": "return"}
 _ASKS = {"l": "land", "k": "kill"}
 _ESCAPE, _ENTER, _ERASE = "\x1b", "\r\n", "\x7f\x08"
 _TYPED_MAX = 60

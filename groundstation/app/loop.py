@@ -17,6 +17,7 @@ from typing import Protocol
 
 from groundstation.app.session import Session
 from groundstation.app.tick_times import TickTimes
+from groundstation.core.errors import UserError
 from groundstation.links.link import RECEIVE_BYTES, Link
 from groundstation.mavlink.station import Outgoing as Datagram
 from sitl.world import Outgoing
@@ -173,6 +174,9 @@ def fly_virtual(
         interrupts: operator's Ctrl-C.
         pace: called with the virtual time before every tick, to hold it to the wall clock; None to hurry.
         controls: what else the operator speaks by; looked at before every tick.
+
+    Raises:
+        UserError: the team would wait for an order that nobody can give.
     """
     fleet = session.runner.fleet
     peers, links = [f"emulator:{sysid}" for sysid in fleet.sysid], fleet.link.tolist()
@@ -180,6 +184,11 @@ def fly_virtual(
     if fleet.room is not None:  # one more, who speaks of all of them
         peers.append("emulator:room")
         links.append(fleet.room.config.link)
+    if session.runner.plan.spec.takeoff.wait and not controls:
+        raise UserError(
+            f"{session.runner.plan.source}: takeoff.wait: nobody gives the order `start` in virtual time; fly it with"
+            " --realtime, or with --set takeoff.wait=false"
+        )
     desk = _Desk(controls, session)
     now_ns = 0
     while not session.runner.done:

@@ -16,6 +16,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
+from groundstation.app.keyboard import HELP
 from groundstation.app.session import Session
 from groundstation.app.team_table import ROWS_MIN, LastAlarms, team_table
 from groundstation.links.link import Link
@@ -193,7 +194,7 @@ class FlightDisplay:
             lines = max(ROWS_MIN, self._console.height - _OTHER_LINES)
             parts.append(team_table(session, look, self._alarms, now_ns, lines))
         if prompt:
-            parts.append(Text(prompt, style="dim" if prompt.startswith("h hold") else "bold yellow"))
+            parts.append(Text(prompt, style="dim" if prompt == HELP else "bold yellow"))
         return Group(*parts)
 
     def _line(self, session: Session, now_ns: int, look: Look | None = None) -> Text:

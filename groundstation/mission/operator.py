@@ -28,6 +28,8 @@ class Order(Enum):
     SCALE = "scale"
     STAY = "stay"
     NEXT = "next"
+    START = "start"
+    FIX = "fix"
 
 
 ORDERS_HELP = {
@@ -42,9 +44,13 @@ ORDERS_HELP = {
     Order.SCALE: "in a lead step, `scale 1.2`: multiplies all distances",
     Order.STAY: "in a lead step: the move under way comes to rest, those that wait are dropped",
     Order.NEXT: "in a lead step: ends it, the mission goes on",
+    Order.START: "a team that waits on its pads (`gs fly --wait`) takes off, when preflight is through",
+    Order.FIX: "on the ground: parameters that are not as the mission needs them are set, as by `--fix`",
 }
 LEADING = frozenset({Order.MOVE, Order.TURN, Order.SCALE, Order.STAY, Order.NEXT})
 """What leads the formation, in a step of the mission that is made for it."""
+PREPARING = frozenset({Order.START, Order.FIX})
+"""What is said before anybody is armed."""
 _NAMES_VEHICLES = frozenset({Order.LAND, Order.KILL})
 _ALL = "all"
 
@@ -100,7 +106,8 @@ def parse_command(text: str, ids: Sequence[int]) -> OperatorCommand:
 
     Args:
         text: ``hold``, ``resume``, ``return``, ``land all``, ``land 3``, ``kill all``, ``kill 3 5``, ``silence``,
-            ``move 1 0 0.5``, ``turn 45``, ``scale 1.2``, ``stay`` or ``next``; capitals and spaces do not matter.
+            ``move 1 0 0.5``, ``turn 45``, ``scale 1.2``, ``stay``, ``next``, ``start`` or ``fix``; capitals and spaces
+            do not matter.
         ids: system ids of the mission's vehicles, in the order of the rows.
 
     Raises:

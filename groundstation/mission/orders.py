@@ -13,7 +13,8 @@ from groundstation.mission.flight.poses import Poses
 from groundstation.mission.operator import LEADING, OperatorCommand, Order, parse_command
 from groundstation.mission.phases.come_down import SilentPhase
 from groundstation.mission.phases.machine import Machine
-from groundstation.mission.phases.table import Event, refusal
+from groundstation.mission.phases.on_the_ground import ConnectPhase
+from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team
 from groundstation.mission.timing import vehicle_list
 
@@ -46,7 +47,7 @@ class Orders:
             note("alarm", str(error))
             return
         order = command.order
-        why = refusal(machine.phase, order)
+        why = machine.refusal(order)
         if order is Order.HOLD and why is None:
             why = team.too_low_to_hold(now_ns)
         if why is None and sightless and order in (Order.HOLD, Order.LAND, Order.MOVE, Order.TURN, Order.SCALE):
@@ -66,6 +67,10 @@ class Orders:
         elif order is Order.SILENCE:
             note("alarm", "operator: setpoints stop, the autopilots' own failsafe takes over")
             machine.give_up("stopped by the operator, setpoints ended", now_ns, Event.SILENCE)
+        elif order is Order.FIX:
+            team.preflight.checks.fix()
+        elif order is Order.START and isinstance(machine.state, ConnectPhase):
+            machine.state.start()
         elif order is Order.RESUME:
             machine.happen(Event.ORDER_RESUME, now_ns)
         elif order is Order.RETURN or machine.phase in (Phase.CONNECT, Phase.ARM):

@@ -13,6 +13,7 @@ from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.check_table import CheckRow
 from groundstation.mission.ground.failsafe import FailsafePlan
+from groundstation.mission.operator import Order
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.team import Team
 from groundstation.mission.verdict import Figures, Note
@@ -118,6 +119,10 @@ class Told:
     def check_rows(self) -> list[CheckRow]:
         """What preflight found, a row for each vehicle."""
         return self._team.preflight.rows(self.problems, self._last_step_ns)
+
+    def refusal(self, order: Order) -> str | None:
+        """Why an order would be refused now, as far as that is known without its numbers; None when it is not."""
+        return self._machine.refusal(order)
 
     @property
     def failsafe(self) -> FailsafePlan:

@@ -142,8 +142,8 @@ def test_bytes_that_are_no_snapshot_are_refused_in_words(bent: bytes | tuple[int
     for cut in (len(_BYTES) - 1, 40, 3):
         with pytest.raises(ValueError, match="snapshot: "):
             decode(_BYTES[:cut])
-    with pytest.raises(ValueError, match="version 3, expected 2"):
-        decode(_BYTES[:6] + b"\x03\x00" + _BYTES[8:])
+    with pytest.raises(ValueError, match="version 4, expected 3"):
+        decode(_BYTES[:6] + b"\x04\x00" + _BYTES[8:])
 
 
 def test_nothing_is_built_while_nobody_looks_and_who_never_reads_costs_nothing_more(
@@ -278,15 +278,15 @@ def test_one_steers_at_a_time_and_taking_over_is_seen() -> None:
     helm = HelmSeat()
     look, steer = Role.VIEWER, Role.OPERATOR
     assert "viewer's key" in helm.take("c", "console c", look)
-    assert helm.refusal("a", steer, Order.HOLD, "form") == "take the helm first"
+    assert helm.refusal("a", steer, Order.HOLD, {"resume": "nothing is held"}) == "take the helm first"
     assert helm.take("a", "console a", steer) == ""
-    assert helm.refusal("a", steer, Order.HOLD, "form") == ""
-    assert helm.refusal("a", steer, Order.RESUME, "form") == "nothing is held"
-    assert helm.refusal("a", look, Order.KILL, "form").startswith("this page may only look")
-    assert helm.refusal("b", steer, Order.KILL, "form") == "console a steers; take over first"
+    assert helm.refusal("a", steer, Order.HOLD, {"resume": "nothing is held"}) == ""
+    assert helm.refusal("a", steer, Order.RESUME, {"resume": "nothing is held"}) == "nothing is held"
+    assert helm.refusal("a", look, Order.KILL, {"resume": "nothing is held"}).startswith("this page may only look")
+    assert helm.refusal("b", steer, Order.KILL, {"resume": "nothing is held"}) == "console a steers; take over first"
     assert helm.take("b", "console b", steer) == ""
     assert helm.news == "console b has taken over from console a"
-    assert helm.refusal("a", steer, Order.KILL, "form") == "console b steers; take over first"
+    assert helm.refusal("a", steer, Order.KILL, {"resume": "nothing is held"}) == "console b steers; take over first"
     helm.leave("a")
     assert helm.holder == "b"
     helm.leave("b")

@@ -15,6 +15,8 @@ import pytest
 from groundstation.app.emulator import world_config
 from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
+from groundstation.core.errors import UserError
+from groundstation.mission.operator import Order
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Note, Phase, Runner
@@ -26,21 +28,21 @@ copyreg.pickle(struct.Struct, lambda shape: (struct.Struct, (shape.format,)))  #
 DONE = "."  # obeyed, no change of phase
 # What an order leads to: a phase, . for no change, x for a refusal. Columns as in LINES.
 LEADS_TO = {
-    Phase.CONNECT: "done x done done silent silent x x",
-    Phase.TAKEOVER: "x x x x . silent x x",
-    Phase.ARM: "land x land land land silent x x",
-    Phase.TAKEOFF: "pause x stop land return silent x x",
-    Phase.FORM: "pause x stop land return silent x x",
-    Phase.HOLD: "pause x stop land return silent x x",
-    Phase.LEAD: "pause x stop land return silent . return",
-    Phase.STOP: "pause x . land . silent x x",
-    Phase.PAUSE: "x hold return land . silent x x",
-    Phase.RETURN: "pause x . land . silent x x",
-    Phase.LAND: "x x . x . silent x x",
-    Phase.SILENT: "x x x . . x x x",
-    Phase.DONE: "x x x x x x x x",
+    Phase.CONNECT: "done x done done silent silent x x x",
+    Phase.TAKEOVER: "x x x x . silent x x x",
+    Phase.ARM: "land x land land land silent x x x",
+    Phase.TAKEOFF: "pause x stop land return silent x x x",
+    Phase.FORM: "pause x stop land return silent x x x",
+    Phase.HOLD: "pause x stop land return silent x x x",
+    Phase.LEAD: "pause x stop land return silent . return x",
+    Phase.STOP: "pause x . land . silent x x x",
+    Phase.PAUSE: "x hold return land . silent x x x",
+    Phase.RETURN: "pause x . land . silent x x x",
+    Phase.LAND: "x x . x . silent x x x",
+    Phase.SILENT: "x x x . . x x x x",
+    Phase.DONE: "x x x x x x x x x",
 }
-LINES = ("hold", "resume", "return", "land all", "kill 2", "silence", "turn 10", "next")
+LINES = ("hold", "resume", "return", "land all", "kill 2", "silence", "turn 10", "next", "start")
 
 
 class Stepped:
@@ -415,3 +417,19 @@ def test_a_killed_vehicle_that_falls_silent_is_judged_by_nobody() -> None:
     assert hit.startswith("vehicle 4: has hit the ground at ")
     assert (flight.runner.outcome, flight.runner.reason) == ("aborted", "vehicle 4: killed by the operator")
     assert flight.phase_seen[-4:] == [Phase.HOLD, Phase.RETURN, Phase.LAND, Phase.DONE]
+
+
+def test_a_team_that_is_told_to_waits_on_its_pads_for_the_order() -> None:
+    flight = Stepped(pair("takeoff.wait=true", "limits.preflight_s=3"))
+    flight.step()
+    flight.runner.operator("start")
+    flight.step()
+    assert any("start refused: preflight is not through: vehicle 1: " in note.text for note in flight.notes)
+    flight.until(lambda it: any("waits for the order `start`" in note.text for note in it.notes))
+    flight.step(200)  # longer than preflight may take otherwise
+    assert (flight.runner.phase, flight.runner.refusal(Order.START)) == (Phase.CONNECT, None)
+    flight.runner.operator("start")
+    flight.step()
+    assert flight.runner.phase is Phase.ARM
+    with pytest.raises(UserError, match=r"takeoff\.wait: nobody gives the order"):
+        Flight(pair("takeoff.wait=true"))

@@ -328,6 +328,21 @@ def test_a_wrong_parameter_is_set_in_the_autopilots_own_packing_and_told_with_wh
 
 
 @pytest.mark.parametrize(("vehicle", "name", "value"), WRONG)
+def test_what_was_left_alone_is_set_by_an_order(plan: MissionPlan, vehicle: int, name: str, value: int) -> None:
+    of = Parameters(plan, vehicle, {name: value})
+    of.run(8.0)
+    assert (of.set, of.check.why_not_fix()) == ([], None)
+    of.check.fix()
+    assert of.check.why_not_fix() == "whatever is wrong of them is set already"
+    of.run(8.0)
+    wanted = plan.autopilots[vehicle].failsafes.settings(make_failsafe(plan).wishes[vehicle])[name]
+    assert (of.set, of.check.grave(vehicle)) == ([(name, wanted)], [])
+    assert of.check.before[vehicle][name][0] == value
+    looks = Parameters(plan, vehicle, {name: value}, look_only=True)
+    assert "only looks" in (looks.check.why_not_fix() or "")
+
+
+@pytest.mark.parametrize(("vehicle", "name", "value"), WRONG)
 def test_one_that_keeps_what_it_had_is_told_twice_and_then_left_to_people(vehicle: int, name: str, value: int) -> None:
     of = Parameters(pair("failsafe.set_parameters=true"), vehicle, {name: value}, stubborn=True)
     of.run(20.0)

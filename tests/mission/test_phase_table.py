@@ -19,21 +19,21 @@ PAGE = Path(__file__).parents[2] / "docs" / "phases.md"
 # . for no change, - for what cannot come about (orders are refused), (x) for what follows when the hold is over,
 # = for what was held. Columns are the events in their order.
 EXPECTED = """
-         READY CHECKED REFUSED TAKEN  ARMED   FORM HOLD MOVE LEAD DONE   WITHOUT GIVE_UP  NOW    FAULT    STOOD  BACK NOBODY DOWN hold  resume return land lead kill   silence
-CONNECT  ARM   DONE    DONE    -      -       -    -    -    -    -      -       DONE     DONE   DONE     -      -    -      -    DONE  -      DONE   DONE -    SILENT SILENT
-TAKEOVER -     -       DONE    RETURN -       -    -    -    -    -      -       .        .      SILENT   -      -    -      -    -     -      -      -    -    SILENT SILENT
-ARM      -     -       -       -      TAKEOFF -    -    -    -    -      -       LAND     LAND   LAND     -      -    -      -    LAND  -      LAND   LAND -    SILENT SILENT
-TAKEOFF  -     -       -       -      -       FORM HOLD MOVE -    -      -       RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    SILENT SILENT
-FORM     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    SILENT SILENT
-HOLD     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    SILENT SILENT
-MOVE     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    SILENT SILENT
-LEAD     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND .    SILENT SILENT
-STOP     -     -       -       -      -       -    -    -    -    -      -       .        .      .        RETURN -    -      -    PAUSE -      .      LAND -    SILENT SILENT
-PAUSE    -     -       -       -      -       -    -    -    -    -      (FORM)  (RETURN) RETURN (RETURN) -      -    LAND   -    -     =      RETURN LAND -    SILENT SILENT
-RETURN   -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      LAND -      -    PAUSE -      .      LAND -    SILENT SILENT
-LAND     -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      -    -      DONE -     -      .      -    -    SILENT SILENT
-SILENT   -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      -    -      DONE -     -      -      .    -    .      -
-DONE     -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      -    -      -    -     -      -      -    -    -      -
+         READY CHECKED REFUSED TAKEN  ARMED   FORM HOLD MOVE LEAD DONE   WITHOUT GIVE_UP  NOW    FAULT    STOOD  BACK NOBODY DOWN hold  resume return land lead prep kill   silence
+CONNECT  ARM   DONE    DONE    -      -       -    -    -    -    -      -       DONE     DONE   DONE     -      -    -      -    DONE  -      DONE   DONE -    .    SILENT SILENT
+TAKEOVER -     -       DONE    RETURN -       -    -    -    -    -      -       .        .      SILENT   -      -    -      -    -     -      -      -    -    -    SILENT SILENT
+ARM      -     -       -       -      TAKEOFF -    -    -    -    -      -       LAND     LAND   LAND     -      -    -      -    LAND  -      LAND   LAND -    -    SILENT SILENT
+TAKEOFF  -     -       -       -      -       FORM HOLD MOVE -    -      -       RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    -    SILENT SILENT
+FORM     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    -    SILENT SILENT
+HOLD     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    -    SILENT SILENT
+MOVE     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND -    -    SILENT SILENT
+LEAD     -     -       -       -      -       FORM HOLD MOVE LEAD RETURN FORM    RETURN   RETURN RETURN   -      -    -      -    PAUSE -      STOP   LAND .    -    SILENT SILENT
+STOP     -     -       -       -      -       -    -    -    -    -      -       .        .      .        RETURN -    -      -    PAUSE -      .      LAND -    -    SILENT SILENT
+PAUSE    -     -       -       -      -       -    -    -    -    -      (FORM)  (RETURN) RETURN (RETURN) -      -    LAND   -    -     =      RETURN LAND -    -    SILENT SILENT
+RETURN   -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      LAND -      -    PAUSE -      .      LAND -    -    SILENT SILENT
+LAND     -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      -    -      DONE -     -      .      -    -    -    SILENT SILENT
+SILENT   -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      -    -      DONE -     -      -      .    -    -    .      -
+DONE     -     -       -       -      -       -    -    -    -    -      -       .        .      .        -      -    -      -    -     -      -      -    -    -    -      -
 """  # noqa: E501 - a table
 ROWS = {Phase[line.split()[0]]: line.split()[1:] for line in EXPECTED.strip().splitlines()[1:]}
 PAIRS = [(phase, event) for phase in Phase for event in Event]

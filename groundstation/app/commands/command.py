@@ -34,7 +34,7 @@ def command(
         typer.Argument(
             metavar="ORDER",
             help="hold, resume, return, land all, land 3, kill all, kill 3 5 or silence; in a lead step move 1 0 0.5,"
-            " turn -90, scale 1.2, stay or next; nothing lists the flights.",
+            " turn -90, scale 1.2, stay or next; for a team that waits start, fix; nothing lists the flights.",
             autocompletion=order_words,
         ),
     ] = None,

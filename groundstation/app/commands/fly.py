@@ -43,6 +43,9 @@ def fly(
         ),
     ] = False,
     changes: SetOption = None,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stay on the pads until the order start: on the page, or gs command start.")
+    ] = False,
     console: Annotated[
         bool, typer.Option("--console", help="Show the flight to gs console, in another terminal; on the wall clock.")
     ] = False,
@@ -64,7 +67,7 @@ def fly(
         log_path_of,
         refusal,
         tell_flight,
-        with_fix,
+        with_options,
     )
     from groundstation.app.resources import find_config
     from groundstation.mission.plan.advice import advice
@@ -75,13 +78,18 @@ def fly(
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
     if console and dry_run and not (realtime or udp):
         raise UserError("--console: a dry run in virtual time is over before anybody could look; add --realtime")
+    if wait and (take_over or (dry_run and not (realtime or udp))):
+        raise UserError(
+            "--wait is for teams that stand on their pads, on the wall clock: without --take-over, a dry run with"
+            " --realtime"
+        )
     if take_over and dry_run:
         raise UserError("--take-over is for vehicles that are in the air; those of a dry run stand on their pads")
     if give_back and dry_run and not udp:
         raise UserError("--restore: a dry run in virtual time sets no parameters; leave it out")
     if faults is not None and not dry_run:
         raise UserError(f"--faults {faults}: faults are for a dry run; add --dry-run")
-    plan = load_mission(find_config(mission, "missions"), with_fix(changes, fix=fix))
+    plan = load_mission(find_config(mission, "missions"), with_options(changes, fix=fix, wait=wait))
     if not (dry_run or take_over or bare):
         check_method(plan)  # before anything is written
     for line in advice(plan):
@@ -122,7 +130,7 @@ def check(
     """Checks a mission and its vehicles on their pads; arms nothing, and sets parameters only with --fix."""
     from groundstation.app.check_screen import rows_as_values, show_rows
     from groundstation.app.fence_giving import give_fence
-    from groundstation.app.flying import dated_path, judged, period_ns, refusal, refused_frames, with_fix
+    from groundstation.app.flying import dated_path, judged, period_ns, refusal, refused_frames, with_options
     from groundstation.app.loop import FlightClock, Interrupts, fly_real
     from groundstation.app.mocap.process import reading
     from groundstation.app.opening import open_flight
@@ -134,7 +142,7 @@ def check(
     from groundstation.mission.purpose import Purpose
 
     out = Output(as_json=as_json)
-    plan = judged(out, find_config(mission, "missions"), with_fix(changes, fix=fix))
+    plan = judged(out, find_config(mission, "missions"), with_options(changes, fix=fix))
     for line in advice(plan):
         out.console.print(Text(line, style="bold yellow"))
     fences = give_fence(out, plan, may_set=fix)

@@ -75,6 +75,7 @@ class Feed:
         last: newest snapshot, None before the first.
         history: a row of ``HISTORY`` a tenth of a second.
         notes: what happened: seconds, kind, text; each once, though every snapshot tells the newest again.
+        checks: preflight's table as it was last told.
         problem: why the newest datagram could not be read.
     """
 
@@ -82,6 +83,7 @@ class Feed:
         self.last: Snapshot | None = None
         self.history: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
         self.notes: list[tuple[float, str, str]] = []
+        self.checks: tuple[tuple[str, ...], ...] = ()
         self.problem = ""
         self._path = folder / f"{pid}-{os.getpid()}.view"
         try:
@@ -116,6 +118,7 @@ class Feed:
         """Takes a snapshot."""
         self.last = snapshot
         self._keep(snapshot.words.notes)
+        self.checks = snapshot.words.checks or self.checks
         if not self.history or snapshot.t_s - self.history[-1][0] >= 0.1:
             self.history.append(
                 (

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from groundstation.app.console.guard import Role
-from groundstation.core.phases import Phase
 from groundstation.mission.operator import Order
-from groundstation.mission.phases.table import REFUSED
 
 
 class HelmSeat:
@@ -37,13 +37,17 @@ class HelmSeat:
             self.news = f"{self.name} has left; nobody steers from a console"
             self.holder = self.name = ""
 
-    def refusal(self, page: str, role: Role, order: Order, phase: str) -> str:
-        """Why a page may not give an order now, "" when it may."""
+    def refusal(self, page: str, role: Role, order: Order, refused: Mapping[str, str]) -> str:
+        """Why a page may not give an order now, "" when it may.
+
+        Args:
+            page: its own name.
+            role: what it may do.
+            order: which.
+            refused: what the flight itself would refuse now, and why.
+        """
         if role is not Role.OPERATOR:
             return "this page may only look: it was opened with the viewer's key"
         if page != self.holder:
             return f"{self.name} steers; take over first" if self.holder else "take the helm first"
-        try:
-            return REFUSED[Phase(phase)].get(order, "")
-        except (ValueError, KeyError):
-            return ""
+        return refused.get(order.value, "")

@@ -14,6 +14,7 @@ from groundstation.app.console.charts import spans_of
 from groundstation.app.console.feed import Feed
 from groundstation.app.console.guard import Role
 from groundstation.app.console.helm import HelmSeat
+from groundstation.app.console.preflight_panel import PreflightPanel
 from groundstation.app.console.theme import Theme
 from groundstation.app.console.view import TeamView, named
 from groundstation.mission.operator import Order
@@ -22,7 +23,7 @@ KILL_HELD_S = 1.5
 
 _SLOWLY_EVERY = 5
 _SHOWN = 400
-_KEYS = {"h": Order.HOLD, "r": Order.RESUME, "b": Order.RETURN}
+_KEYS = {"s": Order.START, "h": Order.HOLD, "r": Order.RESUME, "b": Order.RETURN}
 _BUTTONS = (
     ("hold (h)", "hold", Order.HOLD),
     ("resume (r)", "resume", Order.RESUME),
@@ -68,6 +69,10 @@ class Page:
             ui.button("take the helm", on_click=self._take).props("dense outline color=white")
             self._mute = ui.switch("sound", value=True).props("dense color=orange")
             theme = Theme(lambda dark: self._view.themed(dark=dark))
+        self._preflight = PreflightPanel()
+        with self._preflight.orders:
+            self._button("start (s)", Order.START, lambda: self._give("start"))
+            self._button("set parameters (--fix)", Order.FIX, lambda: self._give("fix"))
         self._view = TeamView(solid=solid)
         with self._view.side:
             self._controls()
@@ -85,7 +90,6 @@ class Page:
             kill.props("color=red-9").on("pointerdown", self._press).on("pointerup", self._release)
             kill.on("pointerleave", self._forget)
         ui.label("Kill stops motors at once, vehicles fall: those selected in the table, or all.").classes("text-xs")
-        self._waiting = ui.label().classes("text-sm whitespace-pre-line").props(named("problems"))
         self._answer = ui.label("no order yet").classes("text-sm font-bold").props(named("answer") + " role=status")
 
     def _button(self, text: str, order: Order, act: Callable[..., object] | None) -> ui.button:
@@ -137,9 +141,8 @@ class Page:
     async def _give(self, line: str) -> None:
         """Gives an order, when this page may; the flight has the last word."""
         last = self._desk.feed.last
-        why = self._desk.helm.refusal(
-            self._page, self._role, Order(line.split(maxsplit=1)[0]), "" if last is None else last.words.phase
-        )
+        refused = {} if last is None else last.words.refused
+        why = self._desk.helm.refusal(self._page, self._role, Order(line.split(maxsplit=1)[0]), refused)
         if why:
             self._say(f"{line}: {why}", "warning")
             return
@@ -163,10 +166,10 @@ class Page:
         self._title.set_text(words.mission)
         self._phase.set_text(words.phase)
         self._outcome.set_text(words.outcome)
-        self._waiting.set_text("\n".join(f"waiting: {text}" for text in words.problems))
+        self._preflight.show(feed.checks, words.problems, there=words.phase == "connect")
         self._age.set_text(f"{snapshot.t_s:.1f} s{', ' + feed.problem if feed.problem else ''}")
         for button, tip, order in self._buttons:
-            why = desk.helm.refusal(self._page, self._role, order, words.phase)
+            why = desk.helm.refusal(self._page, self._role, order, words.refused)
             button.set_enabled(not why)
             tip.set_text(why or order.value)
         self._view.tell(snapshot)

@@ -10,13 +10,14 @@ from __future__ import annotations
 import json
 import math
 import struct
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from groundstation.core.types import FloatArray, IntArray
 
-VERSION = 2
+VERSION = 3
 BYTES_MAX = 150_000
 """Longest snapshot; what a local datagram holds by the kernel's default."""
 NOTES_MAX = 40
@@ -60,6 +61,9 @@ class Words:
         notes: newest things that happened: seconds, kind, text.
         radius_m: r of the mission.
         problems: what stands between the team and arming, with its remedy, before that.
+        checks: what preflight found, a row for each vehicle: ``check_screen.COLUMNS``, then what is wrong and what to
+            do; empty where it is not told anew, or is over.
+        refused: orders that the flight would refuse at this moment, and why.
     """
 
     mission: str
@@ -71,6 +75,8 @@ class Words:
     notes: tuple[tuple[float, str, str], ...]
     radius_m: float
     problems: tuple[str, ...] = ()
+    checks: tuple[tuple[str, ...], ...] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,8 @@ def encode(snapshot: Snapshot) -> bytes:
             "notes": words.notes[-NOTES_MAX:],
             "radius_m": words.radius_m,
             "problems": words.problems,
+            "checks": words.checks,
+            "refused": words.refused,
             "tick_ms": snapshot.tick_ms if math.isfinite(snapshot.tick_ms) else None,
         }
     ).encode()
@@ -183,6 +191,8 @@ def decode(data: bytes) -> Snapshot:
             notes=tuple((float(t_s), str(kind), str(text)) for t_s, kind, text in header["notes"]),
             radius_m=float(header["radius_m"]),
             problems=tuple(map(str, header["problems"])),
+            checks=tuple(tuple(map(str, row)) for row in header["checks"]),
+            refused={str(order): str(why) for order, why in dict(header["refused"]).items()},
         )
         t_s = float(header["t_s"])
         tick_ms = math.nan if header["tick_ms"] is None else float(header["tick_ms"])

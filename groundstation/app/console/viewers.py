@@ -19,6 +19,7 @@ from types import TracebackType
 
 import numpy as np
 
+from groundstation.app.check_screen import cells_of
 from groundstation.app.console.link_loss import LinkLoss
 from groundstation.app.console.snapshot import (
     AIRBORNE,
@@ -39,8 +40,10 @@ from groundstation.app.tick_times import TickTimes
 from groundstation.core import frames
 from groundstation.core.phases import Phase
 from groundstation.mavlink.vehicle import UNKNOWN
+from groundstation.mission.operator import Order
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
+from groundstation.mission.told import Told
 
 EVERY_NS = SECOND_NS // 20
 """Between two snapshots, at least."""
@@ -78,7 +81,7 @@ class Viewers:
         self.problem = ""
         self._folder, self._plan, self._measured, self._tick_ms = folder, plan, measured, tick_ms
         self._found: list[Path] = []
-        self._next_ns = self._search_ns = 0
+        self._next_ns = self._search_ns = self._checks_ns = 0
         self._notes: deque[tuple[float, str, str]] = deque(maxlen=NOTES_MAX)
         self._said = [""] * plan.size
         self._loss = LinkLoss()
@@ -143,6 +146,13 @@ class Viewers:
                 if who == f"vehicle {vehicle.id}":
                     self._said[row] = words[:_TEXT_MAX]
 
+    def _checks(self, runner: Told, now_ns: int) -> tuple[tuple[str, ...], ...]:
+        """Preflight's table, once a second: it is longer than all the rest."""
+        if runner.phase is not Phase.CONNECT or now_ns < self._checks_ns:
+            return ()
+        self._checks_ns = now_ns + SECOND_NS
+        return tuple((*cells_of(row), "; ".join(row.problems)[:_TEXT_MAX]) for row in runner.check_rows())
+
     def _send(self, data: bytes) -> None:
         for path in self._found:
             try:
@@ -178,6 +188,8 @@ class Viewers:
                 notes=tuple(self._notes),
                 radius_m=plan.spec.avoidance.radius_m,
                 problems=_first(runner.problems) if runner.phase is Phase.CONNECT else (),
+                checks=self._checks(runner, now_ns),
+                refused={order.value: why for order in Order if (why := runner.refusal(order))},
             ),
             t_s=now_ns / SECOND_NS,
             ids=fleet.sysid,

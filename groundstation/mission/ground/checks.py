@@ -92,6 +92,14 @@ class Checks:
             self._ask_once("estimator", autopilot.estimator_message, vehicle, now_ns)
         self._parameters.step(vehicle)
 
+    def why_not_fix(self) -> str | None:
+        """Why parameters cannot be set by order, None when they can."""
+        return self._parameters.why_not_fix()
+
+    def fix(self) -> None:
+        """Sets parameters from now on, though the mission does not say so."""
+        self._parameters.fix()
+
     @property
     def parameters_before(self) -> list[dict[str, tuple[float, int]]]:
         """What was set in each vehicle, as it was before, see ``ParameterCheck.before``."""

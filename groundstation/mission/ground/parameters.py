@@ -55,6 +55,7 @@ class ParameterCheck:
         self._plan, self._station = plan, station
         self._sets = plan.spec.failsafe.set_parameters and not look_only
         self._sets_later = plan.spec.failsafe.set_parameters and look_only
+        self._look_only = look_only
         self.before: list[dict[str, tuple[float, int]]] = [{} for _ in range(plan.size)]
         self._vehicles = [_Vehicle() for _ in range(plan.size)]
         self._rules = [plan.autopilots[i].failsafes.rules(failsafe.wishes[i]) for i in range(plan.size)]
@@ -82,6 +83,18 @@ class ParameterCheck:
         if not of.done and of.judged != desk.changes[vehicle]:
             of.judged = desk.changes[vehicle]
             self._judge(vehicle, of)
+
+    def why_not_fix(self) -> str | None:
+        """Why nothing more is to be set by order, None when there may be."""
+        if self._look_only:
+            return "this run only looks; `gs check --fix` sets parameters"
+        return "whatever is wrong of them is set already" if self._sets else None
+
+    def fix(self) -> None:
+        """Sets what is wrong from now on, though the mission does not say so."""
+        self._sets = True
+        for of in self._vehicles:
+            of.done, of.judged = False, -1
 
     def stop(self, vehicle: int) -> None:
         """Asks and sets nothing any more: the vehicle is armed."""

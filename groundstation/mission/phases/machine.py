@@ -7,13 +7,14 @@ from functools import partial
 
 from groundstation.core.phases import FORMATION_PHASES, Phase
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.operator import Order
 from groundstation.mission.phases.come_down import DonePhase, LandPhase, SilentPhase
 from groundstation.mission.phases.come_home import ReturnPhase
 from groundstation.mission.phases.formation import FormationPhase
 from groundstation.mission.phases.on_the_ground import ArmPhase, ConnectPhase
 from groundstation.mission.phases.stand import PausePhase, StopPhase
 from groundstation.mission.phases.state import Entry, PhaseState
-from groundstation.mission.phases.table import TABLE, Afterwards, Answer, Event
+from groundstation.mission.phases.table import TABLE, Afterwards, Answer, Event, refusal
 from groundstation.mission.phases.takeoff import TakeoffPhase
 from groundstation.mission.phases.taking_over import TakeOverPhase
 from groundstation.mission.purpose import Purpose
@@ -54,6 +55,10 @@ class Machine:
     def phase(self) -> Phase:
         """The phase under way."""
         return self.state.phase
+
+    def refusal(self, order: Order) -> str | None:
+        """Why an order is refused at this moment, None when it is obeyed."""
+        return refusal(self.phase, order) or self.state.refusal(order)
 
     def happen(self, event: Event, now_ns: int, poses: Poses | None = None) -> None:
         """Something has come about.

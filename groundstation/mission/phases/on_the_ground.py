@@ -10,6 +10,7 @@ from groundstation.mavlink.commands import Outcome
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.ground.arming import Arming
 from groundstation.mission.ground.preflight import REASONS_NS
+from groundstation.mission.operator import Order
 from groundstation.mission.phases.state import Entry, PhaseState, Step
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team
@@ -27,10 +28,27 @@ class ConnectPhase(PhaseState):
         super().__init__(team, entry)
         self._check_only = check_only
         self._ready = Held()
+        self._started = check_only or not team.plan.spec.takeoff.wait
+        self._waits = False
 
     def locate(self, now_ns: int) -> None:
         """Where the vehicles' frames lie is followed until it is settled."""
         self._team.frame.placement.look(self._team.fleet, now_ns)
+
+    def refusal(self, order: Order) -> str | None:
+        """A team starts when it is ready, and has waited for the order; parameters are set where they may be."""
+        if order is Order.FIX:
+            return self._team.preflight.checks.why_not_fix()
+        if order is not Order.START or self._waits:
+            return None
+        if self._started:
+            return "the team takes off by itself when preflight is through; `gs fly --wait` makes it wait"
+        problems = self._team.verdict.problems or ["the team has not been well for long enough"]
+        return f"preflight is not through: {problems[0]}"
+
+    def start(self) -> None:
+        """The operator lets the team take off."""
+        self._started = True
 
     def step(self, now_ns: int, poses: Poses) -> Step:
         """Goes on with preflight."""
@@ -41,6 +59,11 @@ class ConnectPhase(PhaseState):
         verdict.trouble(state.fatal + state.waiting)
         late = now_ns - self.since_ns >= team.plan.spec.limits.preflight_s * SECOND_NS
         ready = self._ready(not (state.fatal or state.waiting), now_ns)
+        if not self._started:  # whatever is wrong can be put right, however long that takes
+            if ready and not self._waits:
+                verdict.note("info", "everybody is ready; the team waits for the order `start`")
+            self._waits = ready
+            return Step()
         if state.fatal or (state.waiting and late):
             verdict.refuse(state.fatal or state.waiting)
             return Step(event=Event.REFUSED)

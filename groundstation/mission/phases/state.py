@@ -9,6 +9,7 @@ from groundstation.core.phases import Phase
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.commands import Outcome
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.operator import Order
 from groundstation.mission.phases.table import Event
 from groundstation.mission.team import Team
 
@@ -80,6 +81,10 @@ class PhaseState:
             poses: of the team.
         """
         raise NotImplementedError
+
+    def refusal(self, order: Order) -> str | None:
+        """Why an order that the phase allows is refused at this moment, None when it is obeyed."""
+        return None
 
     def heard(self, outcome: Outcome) -> None:
         """Takes how a command ended."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from groundstation.core.phases import Phase
-from groundstation.mission.operator import LEADING, Order
+from groundstation.mission.operator import LEADING, PREPARING, Order
 
 
 class Event(Enum):
@@ -38,6 +38,7 @@ class Event(Enum):
     ORDER_RETURN = "return"
     ORDER_LAND = "land all"
     ORDER_LEAD = "move, turn, scale, stay, next"
+    ORDER_PREPARE = "start, fix"
     KILL_ALL = "kill all"
     SILENCE = "setpoints end"
 
@@ -92,7 +93,13 @@ _COMING_BACK: dict[Event, Next] = _UP | dict.fromkeys(
 _ENDING: dict[Event, Next] = dict.fromkeys((Event.GIVE_UP, Event.GIVE_UP_NOW, Event.FAULT), _STAY)
 
 _ROWS: dict[Phase, dict[Event, Next]] = {
-    Phase.CONNECT: _ON_THE_GROUND | {Event.READY: Phase.ARM, Event.CHECKED: Phase.DONE, Event.REFUSED: Phase.DONE},
+    Phase.CONNECT: _ON_THE_GROUND
+    | {
+        Event.READY: Phase.ARM,
+        Event.CHECKED: Phase.DONE,
+        Event.REFUSED: Phase.DONE,
+        Event.ORDER_PREPARE: _STAY,
+    },
     Phase.TAKEOVER: _ALWAYS
     | {
         Event.TAKEN: Phase.RETURN,
@@ -134,11 +141,14 @@ _NOTHING_HELD = "nothing is held"
 _OVER = "the mission is over"
 _SILENT = "setpoints have ended; `land` and `kill` are what is left"
 _NOT_LED: dict[Order, str] = dict.fromkeys(LEADING, "the team is led in a `lead` step of the mission only")
-_FLYING: dict[Order, str] = {Order.RESUME: _NOTHING_HELD} | _NOT_LED
+_STARTED: dict[Order, str] = dict.fromkeys(PREPARING, "that is for a team that waits on its pads")
+_WAITING: dict[Order, str] = {Order.RESUME: _NOTHING_HELD} | _NOT_LED
+_FLYING: dict[Order, str] = _WAITING | _STARTED
 REFUSED: dict[Phase, dict[Order, str]] = {
     # On the ground hold, return and land do the same: nobody takes off, the mission ends with nobody armed.
-    Phase.CONNECT: _FLYING,
+    Phase.CONNECT: _WAITING,
     Phase.TAKEOVER: _NOT_LED
+    | _STARTED
     | {
         Order.HOLD: "everybody who is held stands still already",
         Order.RESUME: _NOTHING_HELD,
@@ -150,18 +160,21 @@ REFUSED: dict[Phase, dict[Order, str]] = {
     Phase.FORM: _FLYING,
     Phase.HOLD: _FLYING,
     Phase.MOVE: _FLYING,
-    Phase.LEAD: {Order.RESUME: _NOTHING_HELD},
+    Phase.LEAD: {Order.RESUME: _NOTHING_HELD} | _STARTED,
     Phase.STOP: _FLYING,
     Phase.RETURN: _FLYING,
     Phase.PAUSE: {Order.HOLD: "it is held already; `resume` goes on"}
-    | dict.fromkeys(LEADING, "the team is held; `resume` first"),
+    | dict.fromkeys(LEADING, "the team is held; `resume` first")
+    | _STARTED,
     Phase.LAND: _NOT_LED
+    | _STARTED
     | {
         Order.HOLD: "landing is the autopilots' own and cannot be held",
         Order.RESUME: _NOTHING_HELD,
         Order.LAND: "the team is landing already",
     },
     Phase.SILENT: dict.fromkeys(LEADING, _SILENT)
+    | _STARTED
     | {
         Order.HOLD: _SILENT,
         Order.RESUME: _SILENT,
@@ -171,14 +184,18 @@ REFUSED: dict[Phase, dict[Order, str]] = {
     Phase.DONE: dict.fromkeys(Order, _OVER),
 }
 """Why an order is refused in a phase; what is not listed is obeyed."""
-EVENT_OF_ORDER: dict[Order, Event] = {
-    Order.HOLD: Event.ORDER_HOLD,
-    Order.RESUME: Event.ORDER_RESUME,
-    Order.RETURN: Event.ORDER_RETURN,
-    Order.LAND: Event.ORDER_LAND,
-    Order.KILL: Event.KILL_ALL,
-    Order.SILENCE: Event.SILENCE,
-} | dict.fromkeys(LEADING, Event.ORDER_LEAD)
+EVENT_OF_ORDER: dict[Order, Event] = (
+    {
+        Order.HOLD: Event.ORDER_HOLD,
+        Order.RESUME: Event.ORDER_RESUME,
+        Order.RETURN: Event.ORDER_RETURN,
+        Order.LAND: Event.ORDER_LAND,
+        Order.KILL: Event.KILL_ALL,
+        Order.SILENCE: Event.SILENCE,
+    }
+    | dict.fromkeys(LEADING, Event.ORDER_LEAD)
+    | dict.fromkeys(PREPARING, Event.ORDER_PREPARE)
+)
 """What an order that concerns everybody comes to."""
 
 

@@ -1,7 +1,4 @@
-"""The mission file as YAML says it: keys, types and ranges. Unknown keys are errors.
-
-Only shapes are judged here; ``plan`` judges what the values mean together.
-"""
+"""The mission file as YAML says it: keys, types and ranges, which alone are judged here. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -99,6 +96,7 @@ class TakeoffSpec(_Strict):
     height_m: Annotated[Number, Field(ge=0.2, le=1_000)] = 0.5
     stagger_m: NotNegative = 0.0
     timeout_s: Positive = 20.0
+    wait: bool = False
 
 
 class StepSpec(_Strict):
