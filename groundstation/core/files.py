@@ -182,10 +182,21 @@ def validate(model: type[Model], values: dict[str, Any], source: str) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        lines = []
-        for key, found in useful(error.errors(), values).items():
-            lines.append(f"{source}: {_describe(model, key, found)}")
+        lines = (f"{source}: {words}" for words in _faults(model, values, error).values())
         raise UserError("\n".join(lines)) from None
+
+
+def faults(model: type[BaseModel], values: dict[str, Any]) -> dict[str, str]:
+    """What is wrong with plain values, by key, each in words that begin with it; empty where they fit the model."""
+    try:
+        model.model_validate(values)
+    except ValidationError as error:
+        return _faults(model, values, error)
+    return {}
+
+
+def _faults(model: type[BaseModel], values: dict[str, Any], error: ValidationError) -> dict[str, str]:
+    return {key: _describe(model, key, found) for key, found in useful(error.errors(), values).items()}
 
 
 def _keys_beside(model: type[BaseModel], place: Sequence[str | int]) -> set[str]:

@@ -87,7 +87,7 @@ def load_formation_file(path: Path) -> FormationFile:
         UserError: unreadable, not YAML, an unknown key, a wrong type or an impossible edge; names file and key.
     """
     file = validate(FormationFile, read_yaml(path), str(path))
-    _check_edges(path, file)
+    check_edges(str(path), file)
     return file
 
 
@@ -111,7 +111,16 @@ def to_formation(file: FormationFile) -> Formation:
     return Formation(name=file.name, points_enu_m=points, edges=tuple(pairs))
 
 
-def _check_edges(path: Path, file: FormationFile) -> None:
+def check_edges(path: str, file: FormationFile) -> None:
+    """Makes sure that edges join agents that there are, each pair once.
+
+    Args:
+        path: for messages.
+        file: the formation.
+
+    Raises:
+        UserError: which edge, and why not.
+    """
     if file.edges == "complete":
         return
     seen: dict[tuple[int, int], int] = {}

@@ -17,13 +17,15 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, expect
 
-from tests.app.browser import chromium, opened
+from groundstation.mission.plan.reading import load_mission
+from tests.app.browser import Tab, chromium, opened
 
 GS = (sys.executable, "-m", "groundstation")
-FLIGHT = "fly --mission cube8 --dry-run --realtime --console --seed 1 --json --set steps.1.hold.seconds=120"
+FLIGHT = "fly --mission cube8 --dry-run --realtime --console --wait --seed 1 --json --set steps.1.hold.seconds=120"
 _SOCKET = """url => new Promise(say => {
   const socket = new WebSocket(url);
   socket.onopen = () => say("open");
@@ -77,13 +79,12 @@ def test_a_flight_is_watched_and_steered_through_consoles_that_come_and_go(folde
         with started("console --port 0", folder) as console:
             steer = opened(browser, addresses(console)["operator"])
             steer.shows("title", "cube8")
+            starts(steer)
             steer.shows("phase", "hold")
             phases = re.compile(
                 ".*".join(f"phase +{name}" for name in ("connect", "arm", "takeoff", "form", "hold")), re.S
             )
             expect(steer.page.get_by_test_id("notes")).to_have_text(phases)
-            expect(steer.page.get_by_role("button", name="hold (h)")).to_be_disabled()
-            steer.press("take the helm")
             steer.press("hold (h)")
             steer.shows("phase", "pause")
             steer.shows("answer", "hold: taken")
@@ -118,7 +119,49 @@ def test_a_flight_is_watched_and_steered_through_consoles_that_come_and_go(folde
                 assert tab.wrong == []
     assert (ended["outcome"], ended["reason"], ended["vehicles"]) == ("aborted", "landed by the operator", 8)
     given = re.findall(r"order ([a-z ]+): given by console operator", err)
-    assert given == ["hold", "resume", "land all"]
+    assert given == ["start", "hold", "resume", "land all"]
+
+
+def starts(steer: Tab) -> None:
+    """The team waits on its pads until whoever has the helm lets it take off."""
+    table, start = steer.page.get_by_test_id("preflight-table"), steer.page.get_by_role("button", name="start (s)")
+    expect(table.get_by_role("cell", name="ready", exact=True)).to_have_count(8)
+    expect(steer.page.get_by_test_id("notes")).to_contain_text("waits for the order `start`")
+    expect(start).to_be_disabled()
+    expect(steer.page.get_by_role("button", name="hold (h)")).to_be_disabled()
+    steer.press("take the helm")
+    expect(steer.page.get_by_role("button", name="set parameters (--fix)")).to_be_disabled()  # the mission sets them
+    start.click()
+    steer.shows("answer", "start: taken")
+    expect(table).to_be_hidden()
+
+
+def test_a_mission_is_edited_flown_as_a_dry_run_and_saved(folder: Path) -> None:
+    with chromium() as browser, started("console --port 0 --edit first_flight2", folder) as console:
+        desk = opened(browser, addresses(console)["missions"])
+        field = desk.page.get_by_test_id
+        field("speed_limit_m_s").fill("fast")
+        desk.shows("faults", "speed_limit_m_s: expected a number, got 'fast'")
+        expect(desk.page.get_by_role("alert")).to_have_text("speed_limit_m_s: expected a number, got 'fast'")
+        desk.press("dry run")
+        desk.shows("said", "not yet: see the fields that are marked")
+        field("speed_limit_m_s").fill("0.6")
+        desk.shows("faults", "")
+        field("name").fill("mine")
+        desk.shows("gains", "gains fit this shape")
+        field("point-2-z").fill("0.1")
+        desk.shows("gains", "the shape has no gains yet")
+        desk.press("design gains")
+        expect(field("gains")).to_contain_text("gains designed")
+        desk.press("dry run")
+        expect(field("said")).to_contain_text("dry run completed; formed after")
+        desk.press("save as YAML")
+        expect(field("said")).to_contain_text("gs fly --mission mine --console --wait")
+        assert desk.wrong == []
+    plan = load_mission(folder / "mine.yaml")
+    assert (plan.spec.speed_limit_m_s, plan.formation.size) == (0.6, 2)
+    rise_m = np.diff(plan.formation.points_enu_m[:, 2])
+    assert abs(float(rise_m[0])) > 0.1  # as typed, at the mission's size
 
 
 def nobody_else_gets_in(browser: Browser, operator: str, viewer: str) -> None:

@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from groundstation.app.commands.command import choose_flight
-from groundstation.app.completing import logs
+from groundstation.app.completing import logs, packaged
 from groundstation.app.order_client import flights, runtime_folder
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
@@ -34,16 +34,29 @@ def console(
         list[Path] | None,
         typer.Option(help="Replay this log instead; twice for two side by side.", autocompletion=logs),
     ] = None,
+    edit: Annotated[
+        str | None,
+        typer.Option(
+            "--edit",
+            help="Make a mission instead, beginning with this one; it is saved in the current folder.",
+            autocompletion=packaged("missions"),
+        ),
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to serve at; this machine alone by default.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve at; 0 for one that is free.", min=0, max=65535)] = 8088,
 ) -> None:
-    """Shows a flight that was begun with gs fly --console in a browser, and takes orders for it; or replays logs there.
+    """Shows a flight that was begun with gs fly --console in a browser, and takes orders for it; replays logs; edits.
 
     Two addresses are printed: whoever has the operator's may give orders, whoever has the viewer's may look. The flight
     goes on whatever becomes of the console.
     """
     need("console", "gs console")
     out = Output(as_json=False)
+    if edit is not None:
+        if log or flight is not None:
+            raise UserError("--edit makes a mission, --log and --flight show what is flown; give one of them")
+        _edit(out, edit, host, port)
+        return
     if log:
         _replay(out, log, flight, host, port)
         return
@@ -77,6 +90,24 @@ def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, po
         keys = place.keys()
         _tell(out, place, host, {"replay": keys.viewer})
         serve_replay(place, keys, shown)
+
+
+def _edit(out: Output, mission: str, host: str, port: int) -> None:
+    """Lets a mission be made.
+
+    Raises:
+        UserError: there is no such mission.
+    """
+    from groundstation.app.console.draft import Draft
+    from groundstation.app.console.mission_page import MissionDesk
+    from groundstation.app.console.serving import serve_missions
+    from groundstation.app.resources import find_config
+
+    Draft(find_config(Path(mission), "missions"))  # what is wrong with it is said here
+    with _listening(host, port) as place:
+        keys = place.keys()
+        _tell(out, place, host, {"missions": keys.operator})
+        serve_missions(place, keys, MissionDesk(Path.cwd(), Path(mission)))
 
 
 @contextmanager

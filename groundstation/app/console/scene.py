@@ -27,6 +27,11 @@ def edge_colour(error_m: float) -> str:
     return GREEN if error_m < _EDGE_GOOD_M else ORANGE if error_m < _EDGE_BAD_M else VERMILION
 
 
+def ground_colour(*, dark: bool) -> str:
+    """What a scene stands on."""
+    return "#20242a" if dark else "#f4f4f4"
+
+
 def along(begin_m: FloatArray, end_m: FloatArray) -> list[list[float]]:
     """Rotation that takes the x axis into a direction, as rows."""
     x = (end_m - begin_m) / max(float(np.linalg.norm(end_m - begin_m)), 1e-9)
@@ -47,7 +52,7 @@ class TeamScene:
         low, high = snapshot.fence_enu_m
         self._middle, self._size_m = (low + high) / 2, float(np.max(high - low))
         self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL) for _ in range(n)]
-        self.view = ui.scene(grid=(20, 20), background_color="#20242a" if dark else "#f4f4f4").classes("w-full h-96")
+        self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark)).classes("w-full h-96")
         body_m = 0.35 * r_m
         with self.view as scene:
             for pad_m in snapshot.pads_enu_m[np.isfinite(snapshot.pads_enu_m).all(axis=1)]:

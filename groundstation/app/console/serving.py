@@ -15,6 +15,7 @@ from nicegui import app, context, ui
 from groundstation.app.console.feed import Feed, remove_dead
 from groundstation.app.console.guard import Guard, Keys, Role
 from groundstation.app.console.helm import HelmSeat
+from groundstation.app.console.mission_page import MissionDesk, MissionPage
 from groundstation.app.console.page import Desk, Page
 from groundstation.app.console.recorded import Recorded
 from groundstation.app.console.replay_page import ReplayPage
@@ -24,8 +25,8 @@ _ANSWER_S = 5.0
 _READ_S = 0.05
 _OUT_OF_TOUCH_S = 30.0  # a page that is slow or far away stays what it is, and keeps the helm, for so long
 _CLOSE_S = 1  # to pages that are open when it is ended
-SOLID, FLAT = "/", "/flat"
-"""Pages with the scene in three dimensions and without it."""
+SOLID, FLAT, DRY = "/", "/flat", "/dry"
+"""Pages with the scene in three dimensions and without it, and the last dry run of a mission desk."""
 
 PageMaker = Callable[[Role, str, str, bool], Callable[[], None]]
 """Builds a page for a role, its own name, its name for people, and whether with the scene; returns what to do when it
@@ -89,6 +90,22 @@ def serve_replay(place: Place, keys: Keys, flights: Sequence[Recorded]) -> None:
     def make(_role: Role, _page: str, _name: str, solid: bool) -> Callable[[], None]:
         ReplayPage(flights, solid=solid)
         return lambda: None
+
+    serve(place, keys, make)
+
+
+def serve_missions(place: Place, keys: Keys, desk: MissionDesk) -> None:
+    """Lets missions be made until the console is ended."""
+
+    def make(_role: Role, _page: str, _name: str, solid: bool) -> Callable[[], None]:
+        return MissionPage(desk, solid=solid).closed
+
+    @ui.page(DRY)
+    def watch() -> None:
+        if desk.flown is None:
+            ui.label("no dry run yet")
+        else:
+            ReplayPage([desk.flown], solid=True)
 
     serve(place, keys, make)
 

@@ -1,0 +1,263 @@
+"""A formation on the page: points dragged in three dimensions or typed, edges by click, a graph proposed, gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from nicegui import run, ui
+from nicegui.elements.scene.objects.line import Line
+from nicegui.elements.scene.objects.sphere import Sphere
+from nicegui.elements.scene.objects.text import Text
+from nicegui.events import SceneClickEventArguments, SceneDragEventArguments
+
+from groundstation.app.console.charts import BLUE, GREY, ORANGE
+from groundstation.app.console.draft import Draft
+from groundstation.app.console.scene import along, ground_colour
+from groundstation.app.console.view import named
+from groundstation.core.errors import UserError
+from groundstation.design.designer import DesignResult, design, evaluator
+from groundstation.design.graphs import SHARE, Kind, suggest
+from groundstation.design.problem import SPECTRAL_NORM, Progress, Watch
+
+_DIGITS = 3  # of what was dragged, in the file's own units
+_TYPED_MAX = 64
+"""Points up to which each has its fields; more are edited in the file."""
+
+
+class FormationEditor:
+    """The formation of one draft; built where it is made.
+
+    Args:
+        draft: what is edited.
+        solid: with the scene in three dimensions.
+        changed: told after each change.
+    """
+
+    def __init__(self, draft: Draft, changed: Callable[[], None], *, solid: bool) -> None:
+        self._draft, self._changed, self._solid = draft, changed, solid
+        self._picked: int | None = None
+        self._scene: _Shape | None = None
+        self._progress, self._stop = "", False
+        self._numbers: list[list[ui.number]] = []
+        if solid:
+            ui.label("Drag a point to move it; click two points to join or part them.").classes("text-xs")
+            self._place = ui.column().classes("w-full")
+        with ui.row().classes("items-center gap-2"):
+            self._edge = (
+                ui.input("edge: 1 2").without_auto_validation().props("dense").classes("w-24").props(named("edge"))
+            )
+            self._edge.on("keydown.enter", self._join_typed)
+            ui.button("join or part", on_click=self._join_typed).props("dense")
+            self._kind = ui.select(list(SHARE), value="balanced", label="graph").props("dense options-dense")
+            self._propose_button = ui.button("propose edges", on_click=self._propose).props("dense")
+            self._design_button = ui.button("design gains", on_click=self._design).props("dense")
+            ui.button("stop", on_click=self._end).props("dense flat")
+        self._bar = ui.linear_progress(0.0, show_value=False).props("instant-feedback")
+        self._gains = ui.label().classes("text-sm font-bold whitespace-pre-line").props(named("gains") + " role=status")
+        self._edges = ui.label().classes("text-xs").props(named("edges"))
+        with ui.expansion("points", value=not solid).classes("w-full").props(named("points")):
+            self._table()
+        ui.timer(0.3, self._tell_progress)
+        self._told = ""
+        self._show()
+
+    def _table(self) -> None:
+        points = self._draft.points
+        if len(points) > _TYPED_MAX:
+            ui.label(f"{len(points)} points: drag them, or write them in the formation file").classes("text-xs")
+            return
+        with ui.grid(columns="auto 1fr 1fr 1fr").classes("gap-x-2 gap-y-0 items-center"):
+            for name in ("", "east", "north", "up"):
+                ui.label(name).classes("text-xs")
+            for row, point in enumerate(points):
+                ui.label(str(row + 1))
+                self._numbers.append(
+                    [
+                        ui.number(value=value, step=0.1, on_change=partial(self._typed, row))
+                        .props("dense debounce=250")
+                        .props(named(f"point-{row + 1}-{axis}"))
+                        for axis, value in zip("xyz", point, strict=True)
+                    ]
+                )
+
+    def themed(self, *, dark: bool) -> None:
+        """The page has become light or dark: the scene is made anew on that ground."""
+        if self._solid and self._draft.points:
+            self._place.clear()
+            with self._place:
+                self._scene = _Shape(self._draft, self._dragged, self._clicked, dark=dark)
+            self._scene.show(self._picked)
+
+    def _typed(self, row: int) -> None:
+        values = [number.value for number in self._numbers[row]]
+        if all(isinstance(value, int | float) and math.isfinite(value) for value in values):
+            self._draft.move(row, [float(value) for value in values])
+            self._show()
+
+    def _dragged(self, row: int, at: list[float]) -> None:
+        point = [round(value, _DIGITS) for value in at]
+        self._draft.move(row, point)
+        if self._numbers:
+            for number, value in zip(self._numbers[row], point, strict=True):
+                number.set_value(value)
+        self._show()
+
+    def _clicked(self, row: int) -> None:
+        picked, self._picked = self._picked, None
+        if picked is None:
+            self._picked = row
+        elif picked != row:
+            self._draft.toggle(picked + 1, row + 1)
+        self._show()
+
+    def _join_typed(self) -> None:
+        words = str(self._edge.value or "").replace(",", " ").split()
+        try:
+            if len(words) != 2 or not all(word.isascii() and word.isdigit() for word in words):
+                raise UserError("edge: expected the numbers of two points, for example 1 2")
+            self._draft.toggle(int(words[0]), int(words[1]))
+            self._edge.error = None
+        except UserError as error:
+            self._edge.error = str(error)
+            return
+        self._show()
+
+    def _show(self) -> None:
+        draft = self._draft
+        self._edges.set_text(f"{len(draft.edges)} edges: {', '.join(f'{i}-{j}' for i, j in draft.edges)}")
+        self._gains.set_text("gains fit this shape" if draft.has_gains else "the shape has no gains yet")
+        if self._scene is not None:
+            self._scene.show(self._picked)
+        self._changed()
+
+    # What takes long, in a thread of its own
+
+    def _watch(self) -> Watch:
+        self._stop = False
+
+        def report(now: Progress) -> None:
+            low, high = SPECTRAL_NORM * now.slowest, SPECTRAL_NORM * now.bound
+            share = max(0.0, min(1.0, low / high)) if high > 0.0 else 0.0
+            self._progress = (
+                f"{share:.3f} {now.block} {now.method} {now.iteration}: slowest mode {low:.4g} of {high:.4g}"
+            )
+
+        return Watch(stop=lambda: self._stop, report=report)
+
+    def _end(self) -> None:
+        self._stop = True
+
+    def _tell_progress(self) -> None:
+        if self._progress and self._progress != self._told:
+            self._told = self._progress
+            share, _, words = self._told.partition(" ")
+            self._bar.set_value(float(share))
+            self._gains.set_text(f"{words} 1/s")
+
+    async def _design(self) -> None:
+        try:
+            formation = self._draft.formation()
+        except UserError as error:
+            self._gains.set_text(str(error))
+            return
+        self._busy(busy=True)
+        result: DesignResult | None = await run.io_bound(design, formation, watch=self._watch())
+        self._busy(busy=False)
+        if result is None:  # the page was closed
+            return
+        now = self._draft.formation()
+        if not (np.array_equal(now.points_enu_m, formation.points_enu_m) and now.edges == formation.edges):
+            self._gains.set_text("the shape was changed meanwhile; design its gains again")
+            return
+        self._draft.keep_gains(result)
+        self._show()
+        if result.certificate is not None and result.feasible:
+            slowest = min(result.certificate.xy.slowest, result.certificate.z.slowest)
+            self._bar.set_value(1.0)
+            self._gains.set_text(f"gains designed: slowest mode {slowest:.3g} 1/s, {result.method}")
+        else:
+            self._bar.set_value(0.0)
+            self._gains.set_text(f"no gains: {result.reason}")
+
+    async def _propose(self) -> None:
+        self._busy(busy=True)
+        kinds: dict[str, Kind] = {"sparse": "sparse", "balanced": "balanced", "robust": "robust"}
+        try:
+            formation = self._draft.formation()
+            found = await run.io_bound(suggest, formation, kinds[str(self._kind.value)], evaluator())
+        except UserError as error:
+            self._gains.set_text(str(error))
+            return
+        finally:
+            self._busy(busy=False)
+        if found is not None:
+            self._draft.propose(found.formation)
+            self._show()
+            self._gains.set_text(f"{len(found.formation.edges)} edges proposed; slowest mode {found.slowest:.3g} 1/s")
+
+    def _busy(self, *, busy: bool) -> None:
+        self._progress = self._told = ""
+        for button in (self._design_button, self._propose_button):
+            button.set_enabled(not busy)
+
+
+class _Shape:
+    """The scene: points that can be taken, and lines between those that see each other."""
+
+    def __init__(
+        self,
+        draft: Draft,
+        dragged: Callable[[int, list[float]], None],
+        clicked: Callable[[int], None],
+        *,
+        dark: bool,
+    ) -> None:
+        self._draft, self._dragged, self._clicked = draft, dragged, clicked
+        points = np.array(draft.points)
+        middle, size = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 1.0)
+        self._lines: list[Line] = []
+        self._balls: list[Sphere] = []
+        self._labels: list[Text] = []
+        self.view = ui.scene(
+            grid=(20, 20),
+            background_color=ground_colour(dark=dark),
+            on_drag_end=self._drop,
+            on_click=self._click,
+            click_events=["click"],
+        ).classes("w-full h-80")
+        with self.view as scene:
+            for row in range(len(points)):
+                self._balls.append(scene.sphere(0.05 * size).draggable())
+                self._balls[-1].with_name(str(row))
+                self._labels.append(scene.text(str(row + 1)))
+        x, y, z = middle.tolist()
+        self.view.move_camera(x - 0.6 * size, y - 1.5 * size, z + 0.7 * size, look_at_x=x, look_at_y=y, look_at_z=z)
+        self._size = size
+
+    def _drop(self, event: SceneDragEventArguments) -> None:
+        self._dragged(int(event.object_name), [event.x, event.y, event.z])
+
+    def _click(self, event: SceneClickEventArguments) -> None:
+        hit = next((hit.object_name for hit in event.hits if hit.object_name.isdigit()), None)
+        if hit is not None:
+            self._clicked(int(hit))
+
+    def show(self, picked: int | None) -> None:
+        """Draws the shape as it is now."""
+        points = self._draft.points
+        for row, point in enumerate(points):
+            self._balls[row].move(*point).material(ORANGE if row == picked else BLUE)
+            self._labels[row].move(point[0], point[1], point[2] + 0.12 * self._size)
+        with self.view as scene:
+            while len(self._lines) < len(self._draft.edges):
+                self._lines.append(scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREY))
+        for number, line in enumerate(self._lines):
+            shown = number < len(self._draft.edges)
+            line.visible(shown)
+            if shown:
+                i, j = self._draft.edges[number]
+                begin, end = np.array(points[i - 1]), np.array(points[j - 1])
+                line.move(*points[i - 1]).rotate_R(along(begin, end)).scale(float(np.linalg.norm(end - begin)))
