@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -186,7 +186,7 @@ def validate(model: type[Model], values: dict[str, Any], source: str) -> Model:
         raise UserError("\n".join(lines)) from None
 
 
-def faults(model: type[BaseModel], values: dict[str, Any]) -> dict[str, str]:
+def faults(model: type[BaseModel], values: Mapping[str, object]) -> dict[str, str]:
     """What is wrong with plain values, by key, each in words that begin with it; empty where they fit the model."""
     try:
         model.model_validate(values)
@@ -195,7 +195,7 @@ def faults(model: type[BaseModel], values: dict[str, Any]) -> dict[str, str]:
     return {}
 
 
-def _faults(model: type[BaseModel], values: dict[str, Any], error: ValidationError) -> dict[str, str]:
+def _faults(model: type[BaseModel], values: Mapping[str, object], error: ValidationError) -> dict[str, str]:
     return {key: _describe(model, key, found) for key, found in useful(error.errors(), values).items()}
 
 
