@@ -28,6 +28,8 @@ class Look:
         pose_ns: when each pose was measured, shape (n,).
         duty: ``roster.Duty`` of each vehicle, shape (n,).
         held, lost, foreign: who stands still by a monitor, whose position is lost, who does not follow, shape (n,).
+        avoids: whose wish was changed since somebody or something is in its way, shape (n,).
+        blocked: who of these finds no way, shape (n,).
         formation: the one under way, at its present size.
     """
 
@@ -37,6 +39,8 @@ class Look:
     held: BoolArray
     lost: BoolArray
     foreign: BoolArray
+    avoids: BoolArray
+    blocked: BoolArray
     formation: Formation
 
 
@@ -112,6 +116,12 @@ class Told:
         return self._team.frame.local_origins_enu_m()
 
     @property
+    def anchor_deg_m(self) -> FloatArray:
+        """Where on earth the team's frame has its origin: latitude, longitude, height; NaN where that is not known."""
+        anchor = self._team.frame.placement.anchor_deg_m
+        return np.full(3, np.nan) if anchor is None else anchor.copy()
+
+    @property
     def airborne(self) -> BoolArray:
         """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
         return self._team.standing.airborne(self._last_step_ns)
@@ -144,6 +154,13 @@ class Told:
         team, board = self._team, self._team.board
         pose_ns = team.frame.pose_ns(team.fleet)
         poses = team.frame.poses(team.fleet, now_ns)
+        last = team.helm.last if self._machine.state.steers else None
+        avoids: BoolArray = np.zeros(len(pose_ns), dtype=np.bool_)
+        blocked = avoids
+        if last is not None:
+            avoids, blocked = np.any(last.sensed.in_the_way, axis=1), last.blocked
+            if last.sensed.walled is not None:
+                avoids = np.logical_or(avoids, last.sensed.walled)
         return Look(
             poses=board.obstacles(poses, team.fleet, pose_ns, team.roster, now_ns),
             pose_ns=pose_ns,
@@ -151,5 +168,7 @@ class Told:
             held=board.hold,
             lost=board.blind,
             foreign=board.foreign,
+            avoids=avoids,
+            blocked=blocked,
             formation=team.formation.formation,
         )

@@ -42,6 +42,10 @@ def console(
             autocompletion=packaged("missions"),
         ),
     ] = None,
+    tiles: Annotated[
+        Path | None,
+        typer.Option("--tiles", help="Folder with tiles for the map, ZOOM/X/Y.png; without it the map is a grid."),
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to serve at; this machine alone by default.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve at; 0 for one that is free.", min=0, max=65535)] = 8088,
 ) -> None:
@@ -60,13 +64,15 @@ def console(
     if log:
         _replay(out, log, flight, host, port)
         return
+    from groundstation.app.console.map_view import Tiles
     from groundstation.app.console.serving import serve_flight
 
+    ground = None if tiles is None else Tiles(tiles)
     path, about = choose_flight(*flights(runtime_folder(os.environ, Path.home())), flight)
     with _listening(host, port) as place:
         keys = place.keys()
         _tell(out, place, host, {"operator": keys.operator, "viewer": keys.viewer})
-        serve_flight(place, keys, path, int(about["pid"]))
+        serve_flight(place, keys, path, int(about["pid"]), ground)
 
 
 def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, port: int) -> None:

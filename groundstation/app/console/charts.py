@@ -10,6 +10,7 @@ import numpy as np
 from groundstation.core.types import FloatArray
 
 BLUE, ORANGE, VERMILION, GREEN, SKY, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#56B4E9", "#888888"
+PURPLE = "#CC79A7"
 """Of Okabe and Ito: people with any kind of colour vision tell them apart."""
 
 Options = dict[str, object]

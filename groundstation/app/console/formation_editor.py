@@ -15,8 +15,8 @@ from nicegui.events import SceneClickEventArguments, SceneDragEventArguments
 
 from groundstation.app.console.charts import BLUE, GREY, ORANGE
 from groundstation.app.console.draft import Draft
+from groundstation.app.console.naming import named
 from groundstation.app.console.scene import along, ground_colour
-from groundstation.app.console.view import named
 from groundstation.core.errors import UserError
 from groundstation.design.designer import DesignResult, design, evaluator
 from groundstation.design.graphs import SHARE, Kind, suggest

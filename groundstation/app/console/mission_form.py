@@ -11,7 +11,7 @@ from nicegui import ui
 
 from groundstation.app.console.draft import Draft
 from groundstation.app.console.form import Entry, Section, form_of
-from groundstation.app.console.view import named
+from groundstation.app.console.naming import named
 from groundstation.app.schema_files import schema_text
 from groundstation.core.errors import UserError
 

@@ -15,9 +15,10 @@ from nicegui.events import ValueChangeEventArguments
 from groundstation.app.console.draft import Draft, dumped
 from groundstation.app.console.formation_editor import FormationEditor
 from groundstation.app.console.mission_form import MissionForm
+from groundstation.app.console.naming import named
 from groundstation.app.console.recorded import Recorded
 from groundstation.app.console.theme import Theme
-from groundstation.app.console.view import named, number
+from groundstation.app.console.view import number
 from groundstation.app.packaged import packaged_names
 from groundstation.app.resources import find_config
 from groundstation.core.errors import UserError

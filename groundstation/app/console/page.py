@@ -14,9 +14,10 @@ from groundstation.app.console.charts import spans_of
 from groundstation.app.console.feed import Feed
 from groundstation.app.console.guard import Role
 from groundstation.app.console.helm import HelmSeat
+from groundstation.app.console.naming import named
 from groundstation.app.console.preflight_panel import PreflightPanel
 from groundstation.app.console.theme import Theme
-from groundstation.app.console.view import TeamView, named
+from groundstation.app.console.view import TeamView
 from groundstation.mission.operator import Order
 
 KILL_HELD_S = 1.5
@@ -41,6 +42,7 @@ class Desk:
     feed: Feed
     helm: HelmSeat
     tell: Tell
+    tiles: tuple[str, int] | None = None
 
 
 class Page:
@@ -73,7 +75,7 @@ class Page:
         with self._preflight.orders:
             self._button("start (s)", Order.START, lambda: self._give("start"))
             self._button("set parameters (--fix)", Order.FIX, lambda: self._give("fix"))
-        self._view = TeamView(solid=solid)
+        self._view = TeamView(solid=solid, tiles=desk.tiles)
         with self._view.side:
             self._controls()
         theme.ask()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from nicegui import ui
 
 from groundstation.app.check_screen import COLUMNS
-from groundstation.app.console.view import named
+from groundstation.app.console.naming import named
 
 _REMEDY = "what is wrong, and what to do"
 _STATE = COLUMNS.index("state")

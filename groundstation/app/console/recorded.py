@@ -92,6 +92,7 @@ class Recorded:
             fence_enu_m=self._fence_m,
             edges=edges,
             figures=self._figures(t_ns),
+            anchor_deg_m=np.full(3, np.nan),
         )
 
     def _s(self, t_ns: int) -> float:

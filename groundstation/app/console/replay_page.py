@@ -15,10 +15,11 @@ from nicegui.events import (
 )
 
 from groundstation.app.console.charts import timeline_options
+from groundstation.app.console.naming import named
 from groundstation.app.console.player import SPEEDS, Player
 from groundstation.app.console.recorded import Recorded
 from groundstation.app.console.theme import Theme
-from groundstation.app.console.view import TeamView, named
+from groundstation.app.console.view import TeamView
 
 _TICK_S = 0.1
 _SLOWLY_EVERY = 3

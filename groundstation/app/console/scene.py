@@ -9,9 +9,9 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.objects.line import Line
 
-from groundstation.app.console.charts import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
+from groundstation.app.console.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from groundstation.app.console.feed import distances_m, ghost_enu_m, wished_m
-from groundstation.app.console.snapshot import FOREIGN, HELD, LOST, Snapshot
+from groundstation.app.console.snapshot import AVOIDS, FOREIGN, HELD, LOST, Snapshot
 from groundstation.core import frames
 from groundstation.core.types import FloatArray
 
@@ -25,6 +25,11 @@ _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 def edge_colour(error_m: float) -> str:
     """Green where a distance is as it should be, orange, vermilion where it is far off."""
     return GREEN if error_m < _EDGE_GOOD_M else ORANGE if error_m < _EDGE_BAD_M else VERMILION
+
+
+def vehicle_colour(bits: int) -> str:
+    """Vermilion where the position is lost, orange where it is held or does not follow, purple where it makes way."""
+    return VERMILION if bits & LOST else ORANGE if bits & (HELD | FOREIGN) else PURPLE if bits & AVOIDS else BLUE
 
 
 def ground_colour(*, dark: bool) -> str:
@@ -69,7 +74,7 @@ class TeamScene:
             self._labels = [scene.text(str(sysid)) for sysid in snapshot.ids.tolist()]
         self._edges: list[Line] = []
         self._colours: dict[int, str] = {}
-        self._r_m = r_m
+        self._r_m, self._grown = r_m, [1.0] * n
         self.look("side")
 
     def look(self, where: str) -> None:
@@ -110,13 +115,15 @@ class TeamScene:
             self._regions[row].move(*at)
             self._labels[row].move(at[0], at[1], at[2] + self._r_m)
             bits = int(snapshot.state[row])
-            colour = VERMILION if bits & LOST else ORANGE if bits & (HELD | FOREIGN) else BLUE
+            colour = vehicle_colour(bits)
             if self._colours.get(row) != colour:
                 self._colours[row] = colour
-                self._bodies[row].material(colour)
-                self._regions[row].material(colour, 0.3 if bits & (LOST | FOREIGN | HELD) else 0.15, "back")
-            if snapshot.extra_radius_m[row] > 0.0:
-                self._regions[row].scale(1.0 + 2.0 * float(snapshot.extra_radius_m[row]) / self._r_m)
+                self._bodies[row].material(BLUE if colour == PURPLE else colour)
+                self._regions[row].material(colour, 0.15 if colour == BLUE else 0.3, "back")
+            grown = 1.0 + 2.0 * float(snapshot.extra_radius_m[row]) / self._r_m
+            if grown != self._grown[row]:
+                self._grown[row] = grown
+                self._regions[row].scale(grown)
             self._trails[row].append(at)
         if slowly:
             self._graph(snapshot)

@@ -15,6 +15,7 @@ from nicegui import app, context, ui
 from groundstation.app.console.feed import Feed, remove_dead
 from groundstation.app.console.guard import Guard, Keys, Role
 from groundstation.app.console.helm import HelmSeat
+from groundstation.app.console.map_view import Tiles
 from groundstation.app.console.mission_page import MissionDesk, MissionPage
 from groundstation.app.console.page import Desk, Page
 from groundstation.app.console.recorded import Recorded
@@ -55,7 +56,7 @@ class Place:
         )
 
 
-def serve_flight(place: Place, keys: Keys, orders: Path, pid: int) -> None:
+def serve_flight(place: Place, keys: Keys, orders: Path, pid: int, tiles: Tiles | None) -> None:
     """Shows a flight that is under way until the console is ended.
 
     Args:
@@ -63,6 +64,7 @@ def serve_flight(place: Place, keys: Keys, orders: Path, pid: int) -> None:
         keys: who is let in.
         orders: the flight's order socket.
         pid: the flight's process.
+        tiles: for the map of a mission by GPS; None for a plain grid.
     """
     remove_dead(orders.parent)
     feed = Feed(orders.parent, pid)
@@ -73,7 +75,7 @@ def serve_flight(place: Place, keys: Keys, orders: Path, pid: int) -> None:
         except (OSError, ValueError) as error:
             return {"ok": False, "why": f"the flight did not answer: {error}; whether it was obeyed is not known"}
 
-    desk = Desk(feed, HelmSeat(), tell)
+    desk = Desk(feed, HelmSeat(), tell, None if tiles is None else (tiles.serve(), tiles.zoom_max))
 
     def make(role: Role, page: str, name: str, solid: bool) -> Callable[[], None]:
         Page(desk, role, page, name, solid=solid)

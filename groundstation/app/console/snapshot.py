@@ -23,8 +23,9 @@ BYTES_MAX = 150_000
 NOTES_MAX = 40
 FIGURES = ("min_distance_m", "formation_error_m", "time_to_form_s", "setpoints", "ticks", "deadline_misses")
 """Figures of the flight, by the names that the answer of ``gs fly --json`` has for them."""
-HELD, LOST, FOREIGN, AIRBORNE, ARMED = 1, 2, 4, 8, 16
-"""Bits of ``state``: stands still by a monitor, position lost for good, does not follow, in the air, armed."""
+HELD, LOST, FOREIGN, AIRBORNE, ARMED, AVOIDS, BLOCKED = 1, 2, 4, 8, 16, 32, 64
+"""Bits of ``state``: stands still by a monitor, position lost for good, does not follow, in the air, armed,
+makes way for somebody or something, finds no way."""
 _HEAD = struct.Struct("<6sHI")
 _MAGIC = b"GSVIEW"
 _ROWS_MAX = 1_000
@@ -103,6 +104,8 @@ class Snapshot:
         fence_enu_m: its two corners, shape (2, 3).
         edges: neighbours in the sensing graph, rows counted from 0, shape (m, 2).
         figures: in the order of ``FIGURES``, shape (6,).
+        anchor_deg_m: where on earth the team's frame begins: latitude, longitude, height; NaN where that is not known,
+            shape (3,).
         tick_ms: longest from when a tick was due to when it had sent, since the snapshot before; NaN in virtual time.
     """
 
@@ -125,6 +128,7 @@ class Snapshot:
     fence_enu_m: FloatArray
     edges: IntArray
     figures: FloatArray
+    anchor_deg_m: FloatArray
     tick_ms: float = math.nan
 
     def figure(self, name: str) -> float:
@@ -132,7 +136,7 @@ class Snapshot:
         return float(self.figures[FIGURES.index(name)])
 
 
-_ARRAYS = (*_WIDTHS, "fence_enu_m", "edges", "figures")
+_ARRAYS = (*_WIDTHS, "fence_enu_m", "edges", "figures", "anchor_deg_m")
 
 
 def encode(snapshot: Snapshot) -> bytes:
@@ -162,7 +166,7 @@ def encode(snapshot: Snapshot) -> bytes:
 
 
 def _kind(name: str) -> str:
-    return "<i4" if name in _WHOLE else "<f8" if name == "figures" else "<f4"
+    return "<i4" if name in _WHOLE else "<f8" if name in ("figures", "anchor_deg_m") else "<f4"
 
 
 def decode(data: bytes) -> Snapshot:
@@ -201,7 +205,7 @@ def decode(data: bytes) -> Snapshot:
     if not (0 < n <= _ROWS_MAX and 0 <= m <= n * n and len(words.modes) == len(words.said) == n and math.isfinite(t_s)):
         raise ValueError(f"snapshot: {n} vehicles, {m} edges, {len(words.modes)} modes do not fit")
     shapes = {name: (n, width) if width else (n,) for name, width in _WIDTHS.items()}
-    shapes |= {"fence_enu_m": (2, 3), "edges": (m, 2), "figures": (len(FIGURES),)}
+    shapes |= {"fence_enu_m": (2, 3), "edges": (m, 2), "figures": (len(FIGURES),), "anchor_deg_m": (3,)}
     arrays: dict[str, FloatArray] = {}
     at = _HEAD.size + length
     for name in _ARRAYS:

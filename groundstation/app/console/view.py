@@ -9,8 +9,10 @@ from nicegui import ui
 
 from groundstation.app.console.charts import BLUE, GREEN, ORANGE, SKY, Mark, chart_options, columns_of, timeline_options
 from groundstation.app.console.feed import largest_error_m, smallest_distance_m
+from groundstation.app.console.map_view import TeamMap
+from groundstation.app.console.naming import named
 from groundstation.app.console.scene import TeamScene
-from groundstation.app.console.snapshot import AIRBORNE, ARMED, FOREIGN, HELD, LOST, Snapshot
+from groundstation.app.console.snapshot import AIRBORNE, ARMED, AVOIDS, BLOCKED, FOREIGN, HELD, LOST, Snapshot
 from groundstation.core.types import FloatArray
 from groundstation.mission.roster import Duty
 
@@ -25,6 +27,7 @@ COLUMNS = (
     "silent",
     "lost",
     "setpoint",
+    "avoidance",
     "state",
     "last words",
 )
@@ -51,11 +54,6 @@ _CHARTS = (
 _LINES = 400
 
 
-def named(name: str) -> str:
-    """What makes an element findable for whoever looks at the page by a program."""
-    return f'data-testid="{name}"'
-
-
 def rows_of(snapshot: Snapshot) -> list[dict[str, str | int]]:
     """The team table, a row for each vehicle; "-" is unknown."""
     words = ((LOST, "lost"), (FOREIGN, "does not follow"), (HELD, "held"), (AIRBORNE, "in the air"))
@@ -75,6 +73,7 @@ def rows_of(snapshot: Snapshot) -> list[dict[str, str | int]]:
                 "silent": number(snapshot.silent_s[row], " s", 1),
                 "lost": number(snapshot.lost_share[row] * 100.0, "%", 0),
                 "setpoint": number(speed_m_s, " m/s", 2),
+                "avoidance": "no way" if bits & BLOCKED else "makes way" if bits & AVOIDS else "-",
                 "state": next((name for bit, name in words if bits & bit), "on the ground"),
                 "last words": snapshot.words.said[row],
             }
@@ -100,6 +99,17 @@ def figures_of(snapshot: Snapshot, digits: int = 3) -> dict[str, str]:
     }
 
 
+_NUMBERS = frozenset({"role", "battery", "pose age", "silent", "lost", "setpoint"})
+
+
+def _column(name: str) -> dict[str, str | bool]:
+    """A column of the team table; figures with their units are sorted as figures, unknown ones first."""
+    column: dict[str, str | bool] = {"name": name, "label": name, "field": name, "sortable": True, "align": "left"}
+    if name in _NUMBERS:
+        column[":sort"] = "(a, b) => (parseFloat(a) || -1) - (parseFloat(b) || -1)"
+    return column
+
+
 class TeamView:
     """The elements that show a team; built where it is made.
 
@@ -111,6 +121,7 @@ class TeamView:
         digits: of distances.
         charts: how many of the charts.
         prefix: before the names of elements, where there are two on a page.
+        tiles: for the map of a mission by GPS: their addresses, and the finest zoom; None for a plain grid.
 
     Attributes:
         side: beside the scene, above the figures: for what else the page has.
@@ -128,8 +139,10 @@ class TeamView:
         digits: int = 3,
         charts: int = len(_CHARTS),
         prefix: str = "",
+        tiles: tuple[str, int] | None = None,
     ) -> None:
-        self._solid, self._digits = solid, digits
+        self._solid, self._digits, self._tiles = solid, digits, tiles
+        self._map: TeamMap | None = None
         self._scene: TeamScene | None = None
         self._dark: bool | None = None
         self._told = 0
@@ -151,6 +164,7 @@ class TeamView:
                             self._figures[name] = ui.label("-").props(named(prefix + name))
                 self._reason = ui.label().classes("text-sm font-bold").props(named(prefix + "reason"))
                 self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs").props(named(prefix + "notes"))
+        self._map_place = ui.column().classes("w-full")
         self.timeline = ui.echart(timeline_options([], [], 0.0, 1.0)).classes("w-full h-28")
         self.timeline.props(named(prefix + "timeline"))
         with ui.element("div").classes("w-full" if narrow else "w-full grid grid-cols-1 md:grid-cols-2"):
@@ -159,8 +173,10 @@ class TeamView:
                 for title, colour in _CHARTS[:charts]
             ]
         find = ui.input("filter").props("dense clearable")
-        shown = [{"name": name, "label": name, "field": name, "sortable": True, "align": "left"} for name in columns]
-        self.table = ui.table(columns=shown, rows=[], row_key="id", selection="single").classes("w-full")
+        self.table = ui.table(columns=[_column(name) for name in columns], rows=[], row_key="id", selection="multiple")
+        # Two hundred are scrolled through, not leafed through; only those that are seen are drawn.
+        self.table.classes("w-full").props("dense virtual-scroll hide-pagination").style("max-height: 28rem")
+        self.table.props(":rows-per-page-options=[0] binary-state-sort").props(named(prefix + "team"))
         self.table.props("dense").props(named(prefix + "team"))
         find.bind_value_to(self.table, "filter")
 
@@ -185,7 +201,12 @@ class TeamView:
         self._scene.show(snapshot, slowly=slowly)
 
     def tell(self, snapshot: Snapshot) -> None:
-        """Shows figures and the table."""
+        """Shows figures, the table, and where the team is on earth, when that is known."""
+        if np.isfinite(snapshot.anchor_deg_m).all():
+            if self._map is None:
+                with self._map_place:
+                    self._map = TeamMap(snapshot, self._tiles)
+            self._map.show(snapshot)
         told = figures_of(snapshot, self._digits)
         for name, label in self._figures.items():
             label.set_text(told[name])

@@ -24,6 +24,8 @@ from groundstation.app.console.link_loss import LinkLoss
 from groundstation.app.console.snapshot import (
     AIRBORNE,
     ARMED,
+    AVOIDS,
+    BLOCKED,
     BYTES_MAX,
     FIGURES,
     FOREIGN,
@@ -168,7 +170,14 @@ class Viewers:
         runner, plan = session.runner, self._plan
         fleet, figures, look = runner.fleet, runner.figures, runner.look(now_ns)
         role = runner.role_of_agent
-        bits = ((look.held, HELD), (look.lost, LOST), (look.foreign, FOREIGN), (runner.airborne, AIRBORNE))
+        bits = (
+            (look.held, HELD),
+            (look.lost, LOST),
+            (look.foreign, FOREIGN),
+            (runner.airborne, AIRBORNE),
+            (look.avoids, AVOIDS),
+            (look.blocked, BLOCKED),
+        )
         state = fleet.armed * ARMED + sum(mask * bit for mask, bit in bits)
         known = {"setpoints": runner.setpoints_sent, **self._measured()}
         row_of_role = np.argsort(role)
@@ -209,6 +218,7 @@ class Viewers:
             fence_enu_m=np.array([fence.min_m, fence.max_m], dtype=np.float64),
             edges=row_of_role[edges],
             figures=np.array([known.get(name, getattr(figures, name, np.nan)) for name in FIGURES], dtype=np.float64),
+            anchor_deg_m=runner.anchor_deg_m,
             tick_ms=self._tick_ms(),
         )
 

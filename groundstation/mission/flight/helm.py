@@ -20,15 +20,18 @@ class Helm:
     Attributes:
         guide: makes the setpoints.
         told_ned_m_s: the last ones, shape (n, 3).
+        last: what they came with; None while everybody stands still.
     """
 
     def __init__(self, guide: Guide, n: int) -> None:
         self.guide = guide
         self.told_ned_m_s: FloatArray = np.zeros((n, 3))
+        self.last: Setpoints | None = None
 
     def rest(self) -> None:
         """Everybody was told to stand still."""
         self.told_ned_m_s = np.zeros_like(self.told_ned_m_s)
+        self.last = None
 
     def formation(self, poses: Poses, task: Task, course: Course) -> Setpoints:
         """One tick of formation flight, see ``Guide.formation``."""
@@ -41,5 +44,5 @@ class Helm:
         return self._told(self.guide.to_targets(poses, target_team_ned_m, self.told_ned_m_s, detour_enu_m_s))
 
     def _told(self, setpoints: Setpoints) -> Setpoints:
-        self.told_ned_m_s = setpoints.vel_ned_m_s
+        self.told_ned_m_s, self.last = setpoints.vel_ned_m_s, setpoints
         return setpoints
