@@ -126,11 +126,14 @@ def send_log(log: Path, target: tuple[str, int], speed: float, out: Output) -> d
 def figures_table(values: dict[str, Any]) -> Table:
     """The figures of a log for people."""
     table = Table(show_header=False, box=None)
-    units = {"duration_s": "s", "min_distance_m": "m", "max_error_m_s": "m/s"}
+    units = {"duration_s": "s", "min_distance_m": "m", "max_error_m_s": "m/s", "whatif_max_m_s": "m/s"}
+    units |= {"whatif_max_at_s": "s", "whatif_rms_m_s": "m/s"}
     for name, value in values.items():
         if isinstance(value, list):  # told below the table
             continue
         words = name.removesuffix("_m_s").removesuffix("_s").removesuffix("_m").replace("_", " ")
         text = f"{value:.4g}" if isinstance(value, float) else "unknown" if value is None else str(value)
-        table.add_row(words, f"{text} {units.get(name, '') if value is not None else ''}".strip())
+        table.add_row(
+            words.replace("whatif", "what if:"), f"{text} {units.get(name, '') if value is not None else ''}".strip()
+        )
     return table

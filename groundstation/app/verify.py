@@ -7,22 +7,17 @@ all the same. A log without a single tick proves nothing and is refused.
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from groundstation.app.opening import open_flight
-from groundstation.app.session import Session
-from groundstation.core.errors import CheckFailed, UserError
-from groundstation.mavlink.blocks import Arrivals
+from groundstation.app.again import Again, mission_of
+from groundstation.core.errors import CheckFailed
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode, flagged, message_id
 from groundstation.mission.plan.own_code import CodeSource
 from groundstation.mission.plan.reading import plan_from_record
-from groundstation.mission.purpose import Purpose
-from groundstation.records.manifest import manifest_beside
-from groundstation.records.notes import Noise, Operator, Received, Sent, Tick
+from groundstation.records.notes import Sent
 from groundstation.records.tlog import read_tlog
 
 _SETPOINT = message_id("SET_POSITION_TARGET_LOCAL_NED")
@@ -63,38 +58,22 @@ def verify_log(path: Path, code: CodeSource | None = None) -> VerifyResult:
         UserError: no manifest or no gains in it, or a log of another kind.
         CheckFailed: there is nothing in it to verify.
     """
-    manifest = manifest_beside(path)
-    if manifest is None or manifest.gains_npz is None:
-        raise UserError(
-            f"{path}: no manifest with a mission and gains beside it; only logs of `gs fly` can be verified,"
-            " keep the .manifest.json together with the .tlog"
-        )
-    plan = plan_from_record(manifest.mission, manifest.gains_npz, f"manifest of {path}", code)
+    manifest, gains_npz = mission_of(path)
+    plan = plan_from_record(manifest.mission, gains_npz, f"manifest of {path}", code)
     reader = read_tlog(path, manifest.epoch_unix_us)
     result = VerifyResult()
-    purpose = Purpose.TAKE_OVER if manifest.take_over else Purpose.FLY
-    runner = open_flight(ExitStack(), plan, purpose, sign=False, make=Session).session.runner
+    again = Again(plan, take_over=manifest.take_over)
     expected: list[bytes] = []
     recorded: list[Frame] = []
-    arrivals = Arrivals()
     for record in reader:
-        if isinstance(record, Received):
-            arrivals.add(record.link, record.peer, record.frame.raw, record.t_ns)
-            continue
-        if len(arrivals):
-            runner.take_block(arrivals.block())
-        if isinstance(record, Tick):
+        outgoing = again.take(record)
+        if outgoing is not None:
             _compare(expected, recorded, result)
             recorded = []
-            outgoing = runner.step(record.t_ns)
             expected = [frame for datagram in outgoing for frame in datagram.frames]
             result.ticks += 1
         elif isinstance(record, Sent):
             recorded.append(record.frame)
-        elif isinstance(record, Noise):
-            runner.take(record.link, record.peer, (record.data,), record.t_ns)
-        elif isinstance(record, Operator):
-            runner.operator(record.text)
     ended = manifest.result or {}
     result.complete = reader.truncated_bytes == 0 and result.ticks >= int(ended.get("ticks") or 0)
     if result.complete and ended:

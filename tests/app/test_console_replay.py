@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from playwright.sync_api import expect
 
 from groundstation.app.console.feed import largest_error_m, smallest_distance_m
 from groundstation.app.console.player import SPEEDS, Player
 from groundstation.app.console.recorded import Recorded
 from groundstation.app.console.snapshot import decode, encode
+from groundstation.app.whatif import what_if
+from groundstation.core.errors import UserError
 from groundstation.records.imports import import_crazyswarm
+from groundstation.records.manifest import manifest_beside
 from groundstation.records.replay import Flight, load_flight
 from tests.app.browser import chromium, opened
 from tests.app.commands import gs
@@ -175,10 +179,34 @@ def test_the_real_flight_of_2018_shows_its_smallest_distance_where_it_happened(t
     assert at_s == pytest.approx(stamps[least_m.argmin()] - stamps[0], abs=1e-3)
 
 
+def test_what_other_gains_would_have_said_to_the_same_poses(tmp_path: Path) -> None:
+    log = _unpacked("completed", tmp_path)
+    manifest = manifest_beside(log)
+    assert manifest is not None
+    assert manifest.gains_npz is not None
+    same = tmp_path / "same.npz"
+    same.write_bytes(manifest.gains_npz)
+    assert what_if(log, [], same).figures()["whatif_max_m_s"] == 0.0
+    other = what_if(log, ["gain=0.2"])
+    assert other.note == ""
+    track = load_flight(log).vehicles[0]  # what was said is what the log has, wherever it was sent
+    flying = np.isfinite(other.was_enu_m_s[:, 0]).all(axis=1)
+    rows = np.searchsorted(other.t_ns, track.setpoint_t_ns, side="right") - 1
+    sent = flying[rows]
+    np.testing.assert_allclose(other.was_enu_m_s[rows[sent], 0], track.setpoint_vel_enu_m_s[sent], atol=1e-6)
+    assert 0.0 < float(np.nanmax(other.apart_m_s)) < 1.0
+    for change in ("vehicles.0.id=3", "rate_hz=10"):
+        with pytest.raises(UserError, match="are the log's own"):
+            what_if(log, [change])
+    with pytest.raises(UserError, match=r"[Nn]o such file"):
+        what_if(log, [], tmp_path / "none.npz")
+
+
 def test_two_logs_side_by_side_in_a_browser(tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("r")
     logs = [_unpacked(name, folder) for name in ("lands_all", "completed")]
     shown = [Recorded(load_flight(log)) for log in logs]
+    told = what_if(logs[0], ["gain=0.2"]).figures()
     least = next(mark for mark in shown[0].marks if mark[1] == "near")
     words = " ".join(f"--log {log}" for log in logs)
     with chromium() as browser, started(f"console --port 0 {words}", folder) as console:
@@ -187,6 +215,12 @@ def test_two_logs_side_by_side_in_a_browser(tmp_path_factory: pytest.TempPathFac
         tab.shows("distance_now_m", least[2].split(": ")[1].split(",")[0])
         tab.shows("age", f"{least[0]:.2f} s")
         tab.shows("other-phase", shown[1].at(least[0]).words.phase)
+        tab.page.get_by_test_id("what-if").click()
+        tab.page.get_by_test_id("changes").fill("gain=0.2")
+        tab.press("compare setpoints")
+        expect(tab.page.get_by_test_id("what-if-said")).to_contain_text(
+            f"largest difference {told['whatif_max_m_s']:.3f} m/s, vehicle {told['whatif_max_vehicle']} at"
+        )
         tab.press("next event (.)")
         after = next(mark for mark in shown[0].marks if mark[0] > least[0] + 1e-6)
         tab.shows("age", f"{after[0]:.2f} s")

@@ -91,7 +91,8 @@ def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, po
         raise UserError("--log replays what was recorded, --flight shows what is under way; leave one of them out")
     if len(logs) > 2:
         raise UserError(f"--log: {len(logs)} logs, two go side by side at most; gs compare takes more")
-    shown = [Recorded(useful_flight(out, find_log(log), "there is nothing to replay")) for log in logs]
+    paths = [find_log(log) for log in logs]
+    shown = [Recorded(useful_flight(out, path, "there is nothing to replay"), path) for path in paths]
     with _listening(host, port) as place:
         keys = place.keys()
         _tell(out, place, host, {"replay": keys.viewer})

@@ -27,12 +27,18 @@ def replay(
         list[Path] | None,
         typer.Option("--laws", help="Folder with the law that was flown, for --verify; may be repeated."),
     ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="What if: another value on the same poses, gain=0.5; setpoints are compared."),
+    ] = None,
+    gains: Annotated[Path | None, typer.Option("--gains", help="What if: other gains on the same poses.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Reads a log back."""
     from groundstation.app.replaying import figures_table, nothing_in, parse_target, send_log
     from groundstation.app.resources import find_log
     from groundstation.app.verify import verify_log
+    from groundstation.app.whatif import what_if
     from groundstation.mission.plan.own_code import CodeSource
     from groundstation.records.replay import load_flight
 
@@ -61,6 +67,8 @@ def replay(
             "max_error_m_s": result.max_error_m_s,
             "complete": result.complete,
         }
+    if changes or gains is not None:
+        values |= what_if(log, changes or (), gains, CodeSource(tuple(laws or ()))).figures()
     out.console.print(figures_table(values))
     for line in (*flight.notes, *flight.contents):
         out.console.print(Text(line))

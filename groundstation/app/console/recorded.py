@@ -7,6 +7,7 @@ clock.
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -31,17 +32,18 @@ class Recorded:
 
     Args:
         flight: what was read.
+        log: the file that it was read from, where that stays; None where it does not.
 
     Attributes:
-        flight: the same.
+        flight, log: the same.
         duration_s: from the first record to the last.
         marks: events, orders and the nearest approach, in order of time.
         history: seconds, smallest distance, largest error of the formation: the nearest moment of each short span, so
             that no approach is thinned away.
     """
 
-    def __init__(self, flight: Flight) -> None:
-        self.flight = flight
+    def __init__(self, flight: Flight, log: Path | None = None) -> None:
+        self.flight, self.log = flight, log
         self.duration_s = flight.duration_s
         blocks = [(t_ns, distance_m, pair) for t_ns, distance_m, pair in flight.nearest()]
         self._near_ns: IntArray = np.concatenate([np.zeros(0, np.int64), *(block[0] for block in blocks)])

@@ -20,6 +20,7 @@ from groundstation.app.console.player import SPEEDS, Player
 from groundstation.app.console.recorded import Recorded
 from groundstation.app.console.theme import Theme
 from groundstation.app.console.view import TeamView
+from groundstation.app.console.whatif_panel import WhatIfPanel
 
 _TICK_S = 0.1
 _SLOWLY_EVERY = 3
@@ -65,11 +66,19 @@ class ReplayPage:
             ui.space()
             theme = Theme(self._themed)
         self._desk(flights)
+        first = flights[0]
+        gains = first.flight.manifest.gains_npz if first.flight.manifest is not None else None
+        self._what_if = None if first.log is None or gains is None else WhatIfPanel(first.log, first.flight.start_ns)
         with ui.row().classes("w-full no-wrap max-md:flex-wrap"):
             self._sides = [self._side(item, number, len(flights), solid=solid) for number, item in enumerate(flights)]
         theme.ask()
         ui.keyboard(on_key=self._key, ignore=["input", "select", "textarea", "button"])
         ui.timer(_TICK_S, self._update)
+
+    def closed(self) -> None:
+        """The browser has gone."""
+        if self._what_if is not None:
+            self._what_if.close()
 
     def _desk(self, flights: Sequence[Recorded]) -> None:
         """What the replay is steered by."""
@@ -175,6 +184,8 @@ class ReplayPage:
         self._shown_s = player.t_s if slowly else self._shown_s
         self._now.set_text(f"{player.t_s:.2f} s")
         self._slider.value = player.t_s
+        if slowly and self._what_if is not None:
+            self._what_if.tell(player.t_s)
         for side in self._sides:
             t_s = player.t_s + side.ahead_s
             snapshot = side.recorded.at(t_s)

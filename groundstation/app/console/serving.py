@@ -90,8 +90,7 @@ def serve_replay(place: Place, keys: Keys, flights: Sequence[Recorded]) -> None:
     """Shows recorded flights, one or two, until the console is ended."""
 
     def make(_role: Role, _page: str, _name: str, solid: bool) -> Callable[[], None]:
-        ReplayPage(flights, solid=solid)
-        return lambda: None
+        return ReplayPage(flights, solid=solid).closed
 
     serve(place, keys, make)
 
