@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from groundstation.app.paper_figures import PAPER_FIGURES, PAPER_STYLE
 from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE
 from groundstation.app.pictures import save_picture
+from groundstation.app.report_facts import Facts, facts_of
 from groundstation.app.templates import render
 from groundstation.core.errors import UserError
 from groundstation.core.own_files import claim, write_whole
@@ -81,7 +83,7 @@ def claim_report(folder: Path, *, force: bool, also: Sequence[str] = ()) -> bool
             return text.startswith(b"<!doctype html>") and all(item.file.encode() in text for item in PICTURES)
         return False
 
-    paths = (page, *(path for item in PICTURES for path in _files(folder, item, also)))
+    paths = (page, *(path for item in PICTURES for path in _files(folder, item, also)), *_paper_files(folder, also))
     # each of them is judged before anything is written
     replaced = [claim(path, "the report", "another folder with -o", ours=ours, force=force) for path in paths]
     return any(replaced)
@@ -93,14 +95,23 @@ def _files(folder: Path, picture: Picture, also: Sequence[str]) -> list[Path]:
     return [shown, *(shown.with_suffix(f".{kind}") for kind in also)]
 
 
-def write_report(flight: Flight, folder: Path, *, also: Sequence[str] = (), dpi: int = DPI) -> list[Path]:
+def _paper_files(folder: Path, also: Sequence[str]) -> list[Path]:
+    """Files of the figures at a paper's width; there are some where kinds for papers are wished."""
+    return [folder / f"{item.stem}.{kind}" for item in PAPER_FIGURES for kind in also]
+
+
+def write_report(
+    flight: Flight, folder: Path, *, also: Sequence[str] = (), dpi: int = DPI, log: Path | None = None
+) -> list[Path]:
     """Draws all pictures and writes the page.
 
     Args:
         flight: as ``records.replay.load_flight`` reads it.
-        also: further kinds in which each picture is written, ``svg`` or ``pdf``.
+        also: further kinds in which each picture is written, ``svg`` or ``pdf``; with them come the paper's figures at
+            a column's width, see ``paper_figures``.
         dpi: dots to the inch of those that are made of dots.
         folder: created when missing; files of an earlier report are replaced, see ``claim_report``.
+        log: that it was read from, for how its links did; None leaves that out.
 
     Returns:
         The files written, ``index.html`` first.
@@ -118,7 +129,7 @@ def write_report(flight: Flight, folder: Path, *, also: Sequence[str] = (), dpi:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for picture in PICTURES:
-            with mpl.rc_context(_STYLE):
+            with mpl.rc_context(_STYLE | {"pdf.fonttype": 42}):
                 figure = Figure(
                     figsize=picture.size_in, dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
                 )
@@ -127,7 +138,16 @@ def write_report(flight: Flight, folder: Path, *, also: Sequence[str] = (), dpi:
                 for file in _files(folder, picture, also):
                     save_picture(figure, file, dpi)
                     written.append(file)
-        write_whole(page, to_html(flight).encode("utf-8"), durable=False)
+        for file in _paper_files(folder, also):
+            item = next(item for item in PAPER_FIGURES if item.stem == file.stem)
+            with mpl.rc_context(PAPER_STYLE):
+                figure = Figure(figsize=item.size_in, layout=ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01))
+                FigureCanvasAgg(figure)
+                item.draw(figure, flight)
+                save_picture(figure, file, dpi)
+                written.append(file)
+        facts = None if log is None else facts_of(flight, log)
+        write_whole(page, to_html(flight, facts).encode("utf-8"), durable=False)
     except OSError as error:
         raise UserError(
             f"{error.filename or folder}: cannot write the report: {error.strerror or error}; give another folder "
@@ -178,14 +198,15 @@ def key_figures(flight: Flight) -> list[tuple[str, str]]:
     return figures
 
 
-def to_html(flight: Flight) -> str:
-    """The page: key figures, pictures, events; no script, no resource from elsewhere."""
+def to_html(flight: Flight, facts: Facts | None = None) -> str:
+    """The page: key figures, pictures, facts, events; no script, no resource from elsewhere."""
     notes: list[Event | Operator] = sorted([*flight.events, *flight.operator], key=lambda note: note.t_ns)
     return render(
         "flight.html",
         title=flight.name,
         figures=key_figures(flight),
         pictures=PICTURES,
+        facts=facts,
         events=[((note.t_ns - flight.start_ns) / 1e9, note.text) for note in notes],
     )
 

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import hashlib
 import re
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from groundstation.app.paper_figures import COLUMN_IN, PAPER_FIGURES
 from groundstation.app.report import PICTURES, key_figures, shown_instant, to_html, write_report
+from groundstation.app.report_facts import facts_of
 from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import Encoder
 from groundstation.records.imports import import_crazyswarm
@@ -215,6 +219,28 @@ def test_real_flight_of_2018(tmp_path: Path) -> None:
     assert len(write_report(flight, tmp_path / "report")) == 5
 
 
+def test_the_page_has_phases_links_settings_and_hashes(flight: Flight, tmp_path: Path) -> None:
+    record(tmp_path / "flight.tlog")
+    facts = facts_of(flight, tmp_path / "flight.tlog")
+    assert [row[0] for row in facts.phases[1:]] == [phase.name for phase in flight.phases]
+    assert [row[0] for row in facts.links[1:]] == [str(track.sysid) for track in flight.vehicles]
+    assert {row[2] for row in facts.links[1:]} == {"0.00 %"}
+    assert "radius_m: 0.45" in facts.settings
+    told = {row[0]: row[1] for row in facts.hashes}
+    assert told["flight.tlog"] == hashlib.sha256((tmp_path / "flight.tlog").read_bytes()).hexdigest()
+    page = to_html(flight, facts)
+    for word in ("<h2>Phases</h2>", "<h2>Links</h2>", "<h2>Settings</h2>", told["flight.tlog"]):
+        assert word in page
+
+
+def test_what_is_not_known_is_said_in_the_papers_figures_too(flight: Flight) -> None:
+    nothing = replace(flight, phases=())
+    for item in PAPER_FIGURES:
+        figure = Figure(figsize=item.size_in)
+        item.draw(figure, nothing)
+        assert figure.texts, item.stem
+
+
 def test_pictures_come_in_kinds_for_papers_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -226,6 +252,13 @@ def test_pictures_come_in_kinds_for_papers_too(
     stem = PICTURES[1].file.removesuffix(".png")
     assert (tmp_path / f"out/{stem}.svg").read_bytes().startswith(b"<?xml")
     assert (tmp_path / f"out/{stem}.pdf").read_bytes().startswith(b"%PDF")
+    fifth = (tmp_path / "out/paper_fig5.pdf").read_bytes()
+    assert b"/CIDFontType2" in fifth  # fonts are embedded, and no Type 3, which journals refuse
+    assert b"/Type3" not in fifth
+    assert f"/MediaBox [ 0 0 {COLUMN_IN * 72:g} ".encode() in fifth
+    assert {path.name for path in (tmp_path / "out").glob("paper_*")} == {
+        f"{item.stem}.{kind}" for item in PAPER_FIGURES for kind in ("svg", "pdf")
+    }
     width = struct.unpack(">I", (tmp_path / f"out/{stem}.png").read_bytes()[16:20])[0]
     assert width == round(PICTURES[1].size_in[0] * 50)
     (tmp_path / "other").mkdir()

@@ -28,7 +28,7 @@ def report(
         list[str] | None,
         typer.Option(
             "--also",
-            help="svg or pdf: every picture in that kind too; may be repeated.",
+            help="svg or pdf: every picture in that kind too, and the paper's figures; may be repeated.",
             autocompletion=choice(*_KINDS),
         ),
     ] = None,
@@ -64,7 +64,7 @@ def report(
     flight = useful_flight(out, log, "no report was written")
     replaced = claim_report(output, force=force, also=kinds)
     with out.console.status("drawing"):
-        files = write_report(flight, output, also=kinds, dpi=dpi)
+        files = write_report(flight, output, also=kinds, dpi=dpi, log=log)
     for file in files:
         out.console.print(Text(f"{'replaced' if replaced else 'written'}: {file}"))
     out.result({"log": str(log), "vehicles": len(flight.vehicles), "files": [str(file) for file in files],
