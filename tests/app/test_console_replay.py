@@ -190,7 +190,7 @@ def test_what_other_gains_would_have_said_to_the_same_poses(tmp_path: Path) -> N
     other = what_if(log, ["gain=0.2"])
     assert other.note == ""
     track = load_flight(log).vehicles[0]  # what was said is what the log has, wherever it was sent
-    flying = np.isfinite(other.was_enu_m_s[:, 0]).all(axis=1)
+    flying = np.all(np.isfinite(other.was_enu_m_s[:, 0]), axis=1)
     rows = np.searchsorted(other.t_ns, track.setpoint_t_ns, side="right") - 1
     sent = flying[rows]
     np.testing.assert_allclose(other.was_enu_m_s[rows[sent], 0], track.setpoint_vel_enu_m_s[sent], atol=1e-6)
