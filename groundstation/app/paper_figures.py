@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16
 """Width of a column and of a page of two, as IEEE has them."""
-PAPER_STYLE: dict[Any, Any] = STYLE | {
+PAPER_STYLE = STYLE | {
     "font.size": 8.0,
     "axes.labelsize": 8.0,
     "legend.fontsize": 7.0,
@@ -37,6 +37,12 @@ PAPER_STYLE: dict[Any, Any] = STYLE | {
     "pdf.fonttype": 42,
     "ps.fonttype": 42,
     "svg.fonttype": "path",
+    "axes.titlesize": 8.0,
+    "axes.titlecolor": INK,
+    "axes.titlepad": 1.0,
+    "axes3d.xaxis.panecolor": (1.0, 1.0, 1.0),
+    "axes3d.yaxis.panecolor": (1.0, 1.0, 1.0),
+    "axes3d.zaxis.panecolor": (1.0, 1.0, 1.0),
 }
 """matplotlib's rc settings for these: type of 8 points, fonts embedded or drawn."""
 _SHOTS = 4
@@ -77,25 +83,35 @@ def _missing(figure: Figure, text: str) -> None:
     figure.text(0.5, 0.5, text, ha="center", va="center", color=QUIET, wrap=True)
 
 
-def _room(axes: Any, title: str, points: FloatArray) -> Any:
+class _Room(Protocol):
+    """What is used of axes in three dimensions, for which matplotlib has no types."""
+
+    def plot(self, *values: object, **style: object) -> object:
+        """Draws a line or dots."""
+
+    def set(self, **values: object) -> object:
+        """Sets limits and labels."""
+
+    def set_box_aspect(self, aspect: FloatArray, *, zoom: float) -> None:
+        """Sets the lengths of the sides."""
+
+
+def _room(figure: Figure, place: tuple[int, int, int], title: str, points: FloatArray) -> _Room:
     """A box around points, without numbers on its axes."""
+    axes = cast("_Room", figure.add_subplot(*place, projection="3d"))
     known = points[np.isfinite(points).all(axis=-1)]
     low, high = known.min(axis=0) - 0.1, known.max(axis=0) + 0.1
     size = np.maximum(high - low, 0.25 * float((high - low).max()))
-    middle = (low + high) / 2
-    axes.set_title(title, color=INK, fontsize=8.0, pad=1.0)
-    for name, least, most in zip("xyz", middle - size / 2, middle + size / 2, strict=True):
-        getattr(axes, f"set_{name}lim")(least, most)
+    begin, end = (low + high - size) / 2, (low + high + size) / 2
+    sides: dict[str, object] = {}
+    for number, name in enumerate("xyz"):
+        sides |= {f"{name}lim": (begin[number], end[number]), f"{name}ticklabels": []}
+    axes.set(title=title, **sides)
     axes.set_box_aspect(size, zoom=1.05)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_ticklabels([])
-        axis.set_pane_color((1.0, 1.0, 1.0))
-        axis.line.set_linewidth(0.4)
-    axes.tick_params(length=0)
     return axes
 
 
-def _dots(axes: Any, points: FloatArray, size: float = 4.0) -> None:
+def _dots(axes: _Room, points: FloatArray, size: float = 4.0) -> None:
     for number, point in enumerate(points):
         if np.isfinite(point).all():
             axes.plot(*point[:, None], "o", color=SERIES[number % len(SERIES)], markersize=size)
@@ -110,7 +126,7 @@ def _edges(flight: Flight, t_ns: int) -> list[tuple[int, int]]:
     return [(row_of[i], row_of[j]) for i, j in formation.edges if i in row_of and j in row_of]
 
 
-def _graph(axes: Any, points: FloatArray, edges: list[tuple[int, int]]) -> None:
+def _graph(axes: _Room, points: FloatArray, edges: list[tuple[int, int]]) -> None:
     for i, j in edges:
         axes.plot(*points[[i, j]].T, color=QUIET, linewidth=0.8)
 
@@ -122,14 +138,14 @@ def figure_2(figure: Figure, flight: Flight) -> None:
     if span is None or formation is None:
         _missing(figure, "The log tells no formation that was formed.")
         return
-    axes = _room(figure.add_subplot(1, 2, 1, projection="3d"), "formation", formation.points_enu_m)
+    axes = _room(figure, (1, 2, 1), "formation", formation.points_enu_m)
     _graph(axes, formation.points_enu_m, list(formation.edges))
     _dots(axes, formation.points_enu_m)
     team = flight.positions_at(np.array([span[2] - 1]))[0]
     if not np.isfinite(team).all(axis=-1).any():
         _missing(figure, "No position is known while the formation was held.")
         return
-    axes = _room(figure.add_subplot(1, 2, 2, projection="3d"), "the team", team)
+    axes = _room(figure, (1, 2, 2), "the team", team)
     _graph(axes, team, _edges(flight, span[2] - 1))
     roles = flight.roles_at(span[2] - 1) or ()
     for row, point in enumerate(team):
@@ -152,8 +168,8 @@ def figure_4(figure: Figure, flight: Flight) -> None:
     times: IntArray = np.linspace(start, formed, _SHOTS).astype(np.int64)
     for place, (t_ns, shot) in enumerate(zip(times.tolist(), flight.positions_at(times), strict=True), start=1):
         title = f"{(t_ns - start) / 1e9:.1f} s"
-        _dots(_room(figure.add_subplot(1, _SHOTS + 1, place, projection="3d"), title, ways.reshape(-1, 3)), shot, 3.0)
-    axes = _room(figure.add_subplot(1, _SHOTS + 1, _SHOTS + 1, projection="3d"), "the way", ways.reshape(-1, 3))
+        _dots(_room(figure, (1, _SHOTS + 1, place), title, ways.reshape(-1, 3)), shot, 3.0)
+    axes = _room(figure, (1, _SHOTS + 1, _SHOTS + 1), "the way", ways.reshape(-1, 3))
     _graph(axes, ways[-1], _edges(flight, stop - 1))
     for number in range(ways.shape[1]):
         axes.plot(*ways[:, number].T, color=SERIES[number % len(SERIES)], linewidth=0.6)

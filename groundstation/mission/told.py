@@ -31,6 +31,8 @@ class Look:
         avoids: whose wish was changed since somebody or something is in its way, shape (n,).
         blocked: who of these finds no way, shape (n,).
         formation: the one under way, at its present size.
+        anchor_deg_m: where on earth the team's frame has its origin: latitude, longitude, height; NaN where that is not
+            known, shape (3,).
     """
 
     poses: Poses
@@ -42,6 +44,7 @@ class Look:
     avoids: BoolArray
     blocked: BoolArray
     formation: Formation
+    anchor_deg_m: FloatArray
 
 
 class Told:
@@ -116,12 +119,6 @@ class Told:
         return self._team.frame.local_origins_enu_m()
 
     @property
-    def anchor_deg_m(self) -> FloatArray:
-        """Where on earth the team's frame has its origin: latitude, longitude, height; NaN where that is not known."""
-        anchor = self._team.frame.placement.anchor_deg_m
-        return np.full(3, np.nan) if anchor is None else anchor.copy()
-
-    @property
     def airborne(self) -> BoolArray:
         """Vehicles that are armed and have not told lately that they stand on the ground, shape (n,)."""
         return self._team.standing.airborne(self._last_step_ns)
@@ -154,6 +151,7 @@ class Told:
         team, board = self._team, self._team.board
         pose_ns = team.frame.pose_ns(team.fleet)
         poses = team.frame.poses(team.fleet, now_ns)
+        anchor = team.frame.placement.anchor_deg_m
         last = team.helm.last if self._machine.state.steers else None
         avoids: BoolArray = np.zeros(len(pose_ns), dtype=np.bool_)
         blocked = avoids
@@ -171,4 +169,5 @@ class Told:
             avoids=avoids,
             blocked=blocked,
             formation=team.formation.formation,
+            anchor_deg_m=np.full(3, np.nan) if anchor is None else anchor.copy(),
         )

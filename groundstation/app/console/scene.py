@@ -16,6 +16,8 @@ from groundstation.core import frames
 from groundstation.core.types import FloatArray
 
 _TRAIL = 150
+_MANY = 24
+"""More vehicles than that are drawn with fewer corners, and have shorter trails."""
 _JUMP_S = 2.0
 _SIZE_M = 0.4  # of what is drawn where r is not known
 _EDGE_GOOD_M, _EDGE_BAD_M = 0.1, 0.5
@@ -55,12 +57,15 @@ class TeamScene:
         self._has_radius, self._follows = bool(np.isfinite(snapshot.words.radius_m)), False
         r_m = snapshot.words.radius_m if self._has_radius else _SIZE_M
         low, high = snapshot.fence_enu_m
-        self._middle, self._size_m = (low + high) / 2, float(np.max(high - low))
-        self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL) for _ in range(n)]
+        # Far enough away for the whole team, and for half of the fence.
+        pads_m = snapshot.pads_enu_m[np.all(np.isfinite(snapshot.pads_enu_m), axis=1)]
+        wide_m = float(np.ptp(pads_m[:, :2], axis=0).max()) if len(pads_m) else 0.0
+        self._middle, self._away_m = (low + high) / 2, max(0.5 * float(np.max(high - low)), 0.9 * wide_m)
+        self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL if n <= _MANY else _TRAIL // 4) for _ in range(n)]
         self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark)).classes("w-full h-96")
         body_m = 0.35 * r_m
         with self.view as scene:
-            for pad_m in snapshot.pads_enu_m[np.isfinite(snapshot.pads_enu_m).all(axis=1)]:
+            for pad_m in pads_m:
                 scene.cylinder(0.4 * r_m, 0.4 * r_m, 0.01, 32).move(*pad_m.tolist()).rotate(1.5708, 0, 0).material(GREY)
             for one, other in itertools.combinations(itertools.product((0, 1), repeat=3), 2):
                 if sum(a != b for a, b in zip(one, other, strict=True)) == 1:
@@ -68,20 +73,22 @@ class TeamScene:
                     scene.line(*ends).material(SKY)
             self._bodies = [scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE) for _ in range(n)]
             # Their inner sides alone: outer ones may be drawn before what is in them, which is then not seen.
-            self._regions = [scene.sphere(r_m / 2).material(BLUE, 0.15, "back") for _ in range(n)]
-            self._ghosts = [scene.sphere(0.3 * body_m).material(GREEN, 0.6).visible(False) for _ in range(n)]
+            round_, tall = (32, 16) if n <= _MANY else (12, 8)  # corners are what a software renderer pays for
+            self._regions = [scene.sphere(r_m / 2, round_, tall).material(BLUE, 0.15, "back") for _ in range(n)]
+            self._ghosts = [scene.sphere(0.3 * body_m, 8, 6).material(GREEN, 0.6).visible(False) for _ in range(n)]
             self._clouds = [scene.point_cloud([[0, 0, 0]], [[0, 0.45, 0.7]], 0.03) for _ in range(n)]
             self._labels = [scene.text(str(sysid)) for sysid in snapshot.ids.tolist()]
         self._edges: list[Line] = []
         self._colours: dict[int, str] = {}
         self._r_m, self._grown = r_m, [1.0] * n
+        self._there: list[bool | None] = [None] * n
         self.look("side")
 
     def look(self, where: str) -> None:
         """Moves the camera: top, side, or follow, which stays near the team."""
         self._follows = where == "follow"
         if not self._follows:
-            self._aim(self._middle, 0.5 * self._size_m, top=where == "top")
+            self._aim(self._middle, self._away_m, top=where == "top")
 
     def _follow(self, snapshot: Snapshot) -> None:
         known = np.isfinite(snapshot.pos_team_enu_m).all(axis=1)
@@ -97,16 +104,18 @@ class TeamScene:
 
     def show(self, snapshot: Snapshot, *, slowly: bool) -> None:
         """Moves everything; ``slowly``: trails, graph and ghost too, which take longer."""
-        known = np.isfinite(snapshot.pos_team_enu_m).all(axis=1)
+        known = np.all(np.isfinite(snapshot.pos_team_enu_m), axis=1)
         if not self._t_s <= snapshot.t_s <= self._t_s + _JUMP_S:  # a replay that jumps leaves no trail
             for trail in self._trails:
                 trail.clear()
         self._t_s = snapshot.t_s
         for row in range(len(snapshot.ids)):
-            there = bool(np.isfinite(snapshot.pos_team_enu_m[row]).all())
-            self._bodies[row].visible(there)
-            self._regions[row].visible(there and self._has_radius)
-            self._labels[row].visible(there)
+            there = bool(known[row])
+            if there != self._there[row]:
+                self._there[row] = there
+                self._bodies[row].visible(there)
+                self._regions[row].visible(there and self._has_radius)
+                self._labels[row].visible(there)
         quats = np.where(np.isfinite(snapshot.quat_ned_from_frd), snapshot.quat_ned_from_frd, [1.0, 0.0, 0.0, 0.0])
         rotations = _ENU_FROM_NED @ frames.rot_ned_from_flu(quats)
         for row in np.flatnonzero(known).tolist():

@@ -218,7 +218,7 @@ class Viewers:
             fence_enu_m=np.array([fence.min_m, fence.max_m], dtype=np.float64),
             edges=row_of_role[edges],
             figures=np.array([known.get(name, getattr(figures, name, np.nan)) for name in FIGURES], dtype=np.float64),
-            anchor_deg_m=runner.anchor_deg_m,
+            anchor_deg_m=look.anchor_deg_m,
             tick_ms=self._tick_ms(),
         )
 
