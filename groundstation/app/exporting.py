@@ -1,4 +1,4 @@
-"""Writes flights for other programs: Parquet and CSV as one wide table, MCAP for Foxglove.
+"""Writes flights for other programs: Parquet and CSV as one wide table, MCAP for Foxglove, recordings for Rerun.
 
 Each file says by whom it was made, so that it is replaced by the same command alone.
 """
@@ -19,11 +19,12 @@ KINDS: dict[str, tuple[str, str | None]] = {
     "parquet": ("groundstation.app.parquet_file", "export"),
     "csv": ("groundstation.app.csv_file", None),
     "mcap": ("groundstation.app.mcap_file", "export"),
+    "rrd": ("groundstation.app.rrd_file", "rerun"),
 }
 """What ``--to`` names: the module that writes it, and the extra that it needs."""
 
 _PARQUET, _PARQUET_END = b"PAR1", 8  # a file ends with its footer, the footer's length (4 bytes), and this
-_MCAP, _MCAP_HEAD = b"\x89MCAP0\r\n", 128
+_MCAP, _RERUN, _HEAD = b"\x89MCAP0\r\n", b"RRF", 256
 
 
 def claim_export(to: str, path: Path, *, force: bool) -> bool:
@@ -45,10 +46,10 @@ def claim_export(to: str, path: Path, *, force: bool) -> bool:
 
 
 def _where_named(content: bytes) -> bytes:
-    """Where a file names its maker: in a Parquet file's footer, an MCAP file's head, a CSV file's first line."""
+    """Where a file names its maker: a Parquet file's footer, the head of an MCAP or Rerun file, a CSV's first line."""
     if content.endswith(_PARQUET):
         return content[-_PARQUET_END - int.from_bytes(content[-_PARQUET_END:-4], "little") :]
-    return content[:_MCAP_HEAD] if content.startswith(_MCAP) else content.partition(b"\n")[0]
+    return content[:_HEAD] if content.startswith((_MCAP, _RERUN)) else content.partition(b"\n")[0]
 
 
 def export(flight: Flight, to: str, path: Path, rate_hz: float) -> dict[str, object]:

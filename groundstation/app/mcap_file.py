@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from groundstation.app.body_axes import enu_from_flu
 from groundstation.core.frames import quat_ned_from_frd_of_euler
 from groundstation.core.types import FloatArray
 from groundstation.records.replay import Flight
@@ -21,9 +22,6 @@ from groundstation.records.tracks import VehicleTrack
 from groundstation.records.wide import Cells
 
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-_HALF = np.sqrt(0.5)
-_ENU_FROM_NED = np.array([0.0, _HALF, _HALF, 0.0])
-_FRD_FROM_FLU = np.array([0.0, 1.0, 0.0, 0.0])
 
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _VECTOR = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyz"}}
@@ -156,16 +154,6 @@ def _of_team(table: dict[str, Cells]) -> Iterator[Message]:
         known = {name: value for name, value in distances.items() if value is not None}
         if known:
             yield Message(since_ns, "/team/distances", "gs.Distances", known)
-
-
-def enu_from_flu(quat_ned_from_frd: FloatArray) -> FloatArray:
-    """The same attitude between ENU and forward, left, up; unit quaternion, scalar first, shape (4,)."""
-    return _product(_product(_ENU_FROM_NED, quat_ned_from_frd), _FRD_FROM_FLU)
-
-
-def _product(first: FloatArray, second: FloatArray) -> FloatArray:
-    w, vector, w2, vector2 = first[0], first[1:], second[0], second[1:]
-    return np.concatenate([[w * w2 - vector @ vector2], w * vector2 + w2 * vector + np.cross(vector, vector2)])
 
 
 def _known(value: object) -> object | None:

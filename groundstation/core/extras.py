@@ -15,6 +15,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "console": ("nicegui", "fastapi", "uvicorn"),
     "crazyflie": ("cflib",),
     "mocap": ("motioncapture",),
+    "rerun": ("rerun",),
 }
 """Extra of this project: the packages that it brings, by the names that they are imported by."""
 

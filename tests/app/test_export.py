@@ -228,3 +228,27 @@ def test_the_real_flight_of_2018_shows_where_it_was_nearest(
     a, b = table["min_distance_pair"][row].as_py().split("-")
     beside = table[f"distance_{a}_{b}_m"].to_numpy()[max(0, row - 1) : row + 1]
     assert beside.min() == pytest.approx(0.2058, abs=0.02)
+
+
+def test_rerun_reads_what_the_log_has(
+    log: Path, flight: Flight, tmp_path: Path, monkeypatch: Patch, capsys: Captured
+) -> None:
+    chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not here: requirements-rerun.lock brings it")
+    path = tmp_path / "f.rrd"
+    answer = _export([str(log), "--to", "rrd", "-o", str(path)], monkeypatch, capsys)
+    told: dict[str, list[Any]] = {}
+    for part in chunk.RrdReader(path).stream():
+        told.setdefault(part.entity_path, []).append(part.to_record_batch())
+    assert answer["entities"] == len([name for name in told if not name.startswith("/__")]) - 1  # the axes' own
+    for track in flight.vehicles:
+        places = [
+            row
+            for batch in told[f"/team/v{track.sysid}"]
+            if "Transform3D:translation" in batch.schema.names
+            for row in batch.column("Transform3D:translation").to_pylist()
+        ]
+        np.testing.assert_allclose(np.array(places)[:, 0], track.pos_team_enu_m, atol=1e-6)
+    least = [row[0] for batch in told["/figures/min_distance_m"] for row in batch.column("Scalars:scalars").to_pylist()]
+    assert min(least) == pytest.approx(flight.min_distance_m())
+    code, out, err = gs(["export", str(log), "--to", "rrd", "-o", str(path)], monkeypatch, capsys)
+    assert (code, "replaced" in out + err) == (0, True)  # it knows its own file

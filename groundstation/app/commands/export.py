@@ -14,12 +14,12 @@ from groundstation.app.output import Output
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 
-_KINDS = "parquet", "csv", "mcap"
+_KINDS = "parquet", "csv", "mcap", "rrd"
 
 
 def export(
     log: Annotated[Path, typer.Argument(help="Log of a flight or of an import (.tlog).", autocompletion=logs)],
-    to: Annotated[str, typer.Option("--to", help="parquet, csv or mcap.", autocompletion=choice(*_KINDS))],
+    to: Annotated[str, typer.Option("--to", help="parquet, csv, mcap or rrd.", autocompletion=choice(*_KINDS))],
     output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")],
     *,
     rate: Annotated[
