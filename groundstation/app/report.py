@@ -1,13 +1,14 @@
 """Draws what a log says: trajectories with the sensing graph (Fig. 4), distances (Fig. 5), error, setpoints.
 
-Pictures and one page of HTML that needs nothing from elsewhere. What the log does not say (a formation, r, a common
-frame) is named as missing in the picture's place. matplotlib is loaded when a report is drawn and not before.
+Pictures, and one page of HTML that has them in it and needs nothing else. What the log does not say (a formation, r, a
+common frame) is named as missing in the picture's place. matplotlib is loaded when a report is drawn and not before.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -147,7 +148,8 @@ def write_report(
                 save_picture(figure, file, dpi)
                 written.append(file)
         facts = None if log is None else facts_of(flight, log)
-        write_whole(page, to_html(flight, facts).encode("utf-8"), durable=False)
+        drawn = {item.file: (folder / item.file).read_bytes() for item in PICTURES}
+        write_whole(page, to_html(flight, facts, drawn).encode("utf-8"), durable=False)
     except OSError as error:
         raise UserError(
             f"{error.filename or folder}: cannot write the report: {error.strerror or error}; give another folder "
@@ -198,8 +200,15 @@ def key_figures(flight: Flight) -> list[tuple[str, str]]:
     return figures
 
 
-def to_html(flight: Flight, facts: Facts | None = None) -> str:
-    """The page: key figures, pictures, facts, events; no script, no resource from elsewhere."""
+def to_html(flight: Flight, facts: Facts | None = None, drawn: Mapping[str, bytes] | None = None) -> str:
+    """The page: key figures, pictures, facts, events; no script, no resource from elsewhere.
+
+    Args:
+        flight: as read.
+        facts: what else is told; None for nothing.
+        drawn: pictures that stand in the page itself, by their files' names; those that are not there are looked for
+            beside it.
+    """
     notes: list[Event | Operator] = sorted([*flight.events, *flight.operator], key=lambda note: note.t_ns)
     return render(
         "flight.html",
@@ -207,8 +216,14 @@ def to_html(flight: Flight, facts: Facts | None = None) -> str:
         figures=key_figures(flight),
         pictures=PICTURES,
         facts=facts,
+        sources={item.file: _source(item.file, (drawn or {}).get(item.file)) for item in PICTURES},
         events=[((note.t_ns - flight.start_ns) / 1e9, note.text) for note in notes],
     )
+
+
+def _source(file: str, content: bytes | None) -> str:
+    """What an image of the page is read from."""
+    return file if content is None else f"data:image/png;base64,{b64encode(content).decode()}"
 
 
 def _draw_trajectories(figure: Figure, flight: Flight) -> None:

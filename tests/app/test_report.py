@@ -5,6 +5,7 @@ import re
 import struct
 import subprocess
 import sys
+from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,10 @@ def test_writes_four_pictures_and_a_page_that_needs_nothing_else(flight: Flight,
         assert width == 1200
         assert 400 <= height <= 900
     page = files[0].read_text(encoding="utf-8")
-    assert re.findall(r'src="([^"]*)"', page) == names[1:]
+    inside = [b64decode(text) for text in re.findall(r'src="data:image/png;base64,([^"]*)"', page)]
+    assert inside == [file.read_bytes() for file in files[1:]]
+    page = re.sub(r'src="data:[^"]*"', "", page)
+    assert "src=" not in page
     assert not re.search(r"https?:|//|<script|<link|@import|url\(", page)
 
 

@@ -62,7 +62,8 @@ class TeamScene:
         wide_m = float(np.ptp(pads_m[:, :2], axis=0).max()) if len(pads_m) else 0.0
         self._middle, self._away_m = (low + high) / 2, max(0.5 * float(np.max(high - low)), 0.9 * wide_m)
         self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL if n <= _MANY else _TRAIL // 4) for _ in range(n)]
-        self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark)).classes("w-full h-96")
+        self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark)).classes("w-full")
+        self.view.style("height: min(60vh, 32rem)")
         body_m = 0.35 * r_m
         with self.view as scene:
             for pad_m in pads_m:
@@ -154,7 +155,8 @@ class TeamScene:
                 self._edges.append(scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREEN))
         for row, line in enumerate(self._edges):
             i, j = snapshot.edges[row].tolist() if row < len(snapshot.edges) else (0, 0)
-            shown = i != j and bool(np.isfinite(between_m[i, j]))
+            gone = bool((int(snapshot.state[i]) | int(snapshot.state[j])) & LOST)
+            shown = i != j and not gone and bool(np.isfinite(between_m[i, j]))
             line.visible(shown)
             if shown:
                 begin_m, end_m = snapshot.pos_team_enu_m[i], snapshot.pos_team_enu_m[j]
