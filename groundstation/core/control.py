@@ -8,6 +8,7 @@ differences only) and unknown scale functions.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -78,6 +79,26 @@ class Task:
         shapes = {getattr(self, field.name).shape for field in fields(self)}
         if len(shapes) != 1 or self.neighbours.ndim != 2:
             raise ValueError(f"task: gains, neighbours and distances have shapes {sorted(shapes)}, expected one (m, n)")
+
+    @cached_property
+    def near(self) -> tuple[Task, IntArray]:
+        """The same of a whole team with columns for neighbours alone, shape (n, k), and who they are, shape (n, k).
+
+        Ascending along each row, filled up with the agent itself, which is no neighbour.
+        """
+        rows, columns = self.neighbours.nonzero()
+        count = np.bincount(rows, minlength=len(self.neighbours))
+        place = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+        everybody = np.arange(len(count))[:, None]
+        who = np.repeat(everybody, max(int(count.max(initial=0)), 1), axis=1)
+        who[rows, place] = columns
+        return Task(
+            gains_xy=self.gains_xy[everybody, who],
+            gains_z=self.gains_z[everybody, who],
+            neighbours=self.neighbours[everybody, who] & (who != everybody),
+            distances_m=self.distances_m[everybody, who],
+            rise_m=self.rise_m[everybody, who],
+        ), who
 
     def agent(self, index: int) -> Task:
         """Cuts out the rows of one agent: the same thing with m = 1."""

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from groundstation.core import frames
+from groundstation.core.quick import every, finite_rows
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews
 
@@ -86,16 +87,37 @@ def near_views(
     who[sees, column] = seen
     visible = np.zeros((n, width), dtype=np.bool_)
     visible[sees, column] = True
-    rot = frames.rot_ned_from_flu(quat_ned_from_frd)
+    views = views_of(pos_team_ned_m, vel_ned_m_s, frames.rot_ned_from_flu(quat_ned_from_frd), who, visible)
+    return NearViews(views, who)
+
+
+def views_of(
+    pos_team_ned_m: FloatArray,
+    vel_ned_m_s: FloatArray,
+    rot_ned_from_flu: FloatArray,
+    who: IntArray,
+    visible: BoolArray,
+) -> LocalViews:
+    """Builds views of some agents for each.
+
+    Args:
+        pos_team_ned_m: shape (n, 3); NaN rows are unknown: they see nobody and are seen by nobody.
+        vel_ned_m_s: shape (n, 3).
+        rot_ned_from_flu: `frames.rot_ned_from_flu` of the attitudes, shape (n, 3, 3).
+        who: whom each may see, shape (n, k).
+        visible: whom of those it does see as far as their places are known, shape (n, k).
+    """
+    known = finite_rows(pos_team_ned_m)
+    if not every(known):
+        visible = visible & known[who] & known[:, None]
     state = np.stack([pos_team_ned_m, vel_ned_m_s])
     relative = state[:, who] - state[:, :, None]
     relative[:, ~visible] = np.nan
-    rel_flu = frames.rotate_back(rot[:, None], relative)
-    views = LocalViews(
+    rel_flu = frames.rotate_back(rot_ned_from_flu[:, None], relative)
+    return LocalViews(
         rel_pos_flu_m=rel_flu[0],
         rel_vel_flu_m_s=rel_flu[1],
         visible=visible,
-        vel_flu_m_s=frames.rotate_back(rot, vel_ned_m_s),
-        up_flu=-rot[:, 2],
+        vel_flu_m_s=frames.rotate_back(rot_ned_from_flu, vel_ned_m_s),
+        up_flu=-rot_ned_from_flu[:, 2],
     )
-    return NearViews(views, who)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,8 @@ class Places:
     Attributes:
         to_own_m: from each agent to its own place, shape (m, 3); zero for an agent that sees nobody.
         from_centre_m: from the formation's centre to the agent's own place, as the formation is turned, shape (m, 3).
-        wanted_m: from own place to the place of each other agent, shape (m, n, 3).
+        wanted_m: from own place to the place of each other agent, shape (m, n, 3); of those in ``who`` and, last,
+            itself, where it was given.
     """
 
     to_own_m: FloatArray
@@ -35,6 +36,7 @@ def own_places(
     points_by_agent_m: FloatArray,
     viewers: slice = slice(None),
     *,
+    who: IntArray | None = None,
     free_scale: bool = False,
 ) -> Places:
     """Lays the formation over what each agent sees.
@@ -44,21 +46,27 @@ def own_places(
         visible: agent i sees agent j, shape (m, n).
         points_by_agent_m: the formation's point for the role that each agent has, shape (n, 3), z up.
         viewers: which of the n agents the m rows are.
+        who: who stands in the columns of each, nobody's own, shape (m, k), where they are k and not everybody.
         free_scale: the formation may have any size, the one that fits is taken.
 
     Returns:
         Places in the axes of ``rel_level_m``.
     """
-    n = len(points_by_agent_m)
-    own = np.eye(n, dtype=np.bool_)[viewers]
-    seen = visible | own
+    own_point = points_by_agent_m[viewers]
     # Summed over the last axis, row by row: one agent alone gets what it gets among others.
     rel = np.where(visible[..., None], rel_level_m, 0.0)
+    points_seen = points_by_agent_m[None] if who is None else points_by_agent_m[who]
+    if who is None:
+        seen = visible | np.eye(len(points_by_agent_m), dtype=np.bool_)[viewers]
+    else:  # each itself behind the others
+        seen = np.concatenate([visible, np.ones((len(visible), 1), dtype=np.bool_)], axis=1)
+        rel = np.concatenate([rel, np.zeros((len(rel), 1, 3))], axis=1)
+        points_seen = np.concatenate([points_seen, own_point[:, None]], axis=1)
     share = seen / seen.sum(axis=1, keepdims=True)
     pos_mean = (share[..., None] * rel).sum(axis=1)
-    points_mean = (share[..., None] * points_by_agent_m).sum(axis=1)
+    points_mean = (share[..., None] * points_seen).sum(axis=1)
     pos = rel - pos_mean[:, None]
-    points = points_by_agent_m - points_mean[:, None]
+    points = points_seen - points_mean[:, None]
     pos_xy, points_xy = pos[..., 0] + 1j * pos[..., 1], points[..., 0] + 1j * points[..., 1]
     turn = np.where(seen, np.conj(points_xy) * pos_xy, 0.0).sum(axis=1)
     size = np.abs(turn)
@@ -68,10 +76,9 @@ def own_places(
         spread = np.where(seen, (np.conj(points_xy) * points_xy).real, 0.0).sum(axis=1)
         fits: BoolArray = np.asarray((spread > 1e-12) & (size > 1e-12), dtype=np.bool_)
         scale = np.where(fits, size / np.where(fits, spread, 1.0), 1.0)
-    own_point = points_by_agent_m[viewers]
     to_own = pos_mean + scale[:, None] * _turned(turn, own_point - points_mean)
     from_centre = scale[:, None] * _turned(turn, own_point - points_by_agent_m.mean(axis=0))
-    wanted = scale[:, None, None] * _turned(turn[:, None], points_by_agent_m[None] - own_point[:, None])
+    wanted = scale[:, None, None] * _turned(turn[:, None], points_seen - own_point[:, None])
     alone = ~np.asarray(visible.any(axis=1), dtype=np.bool_)
     to_own[alone] = 0.0
     return Places(to_own, from_centre, wanted)

@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from groundstation.core import frames
 from groundstation.core.avoidance import avoid
+from groundstation.core.control import ScaleFunction, Task, formation_control
 from groundstation.core.damper import DamperParams, damp
-from groundstation.core.near import near_views
+from groundstation.core.near import near_views, views_of
+from groundstation.core.places import own_places
 from groundstation.core.regions import SafetySphere
 from groundstation.core.views import LocalViews, local_views
 from tests.core.strategies import Team, random_team
@@ -69,3 +72,26 @@ def test_unknown_positions_see_nobody_and_further_pairs_are_added() -> None:
     assert not nobody.views.visible.any()
     with pytest.raises(ValueError, match="reach"):
         near_views(pos, np.zeros((4, 3)), np.tile([1.0, 0, 0, 0], (4, 1)), 0.0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 30), free=st.booleans())
+def test_the_law_and_places_are_the_same_with_columns_for_neighbours_alone(seed: int, n: int, *, free: bool) -> None:
+    rng = np.random.default_rng(seed)
+    team = random_team(seed, n, 5.0)
+    graph = np.triu(rng.random((n, n)) < 0.3, 1)
+    gains, points = rng.normal(size=(3, n, n)), rng.normal(size=(n, 3))
+    task = Task(gains[0] + 1j * gains[1], gains[2], graph | graph.T, np.abs(gains[0]), gains[1])
+    near, who = task.near
+    dense = local_views(team.pos_ned_m, team.vel_ned_m_s, team.quat, task.neighbours)
+    rot = frames.rot_ned_from_flu(team.quat)
+    few = views_of(team.pos_ned_m, team.vel_ned_m_s, rot, who, near.neighbours)
+    assert few.visible.sum() == dense.visible.sum()
+    scale = ScaleFunction(kind="arctan", gain=2.5)
+    by_few = formation_control(few, near, scale, lead_s=0.1, upright_1_s=0.5)
+    by_all = formation_control(dense, task, scale, lead_s=0.1, upright_1_s=0.5)
+    np.testing.assert_allclose(by_few, by_all, atol=1e-9)
+    places = own_places(few.rel_pos_flu_m, few.visible, points, who=who, free_scale=free)
+    expected = own_places(dense.rel_pos_flu_m, dense.visible, points, free_scale=free)
+    np.testing.assert_allclose(places.to_own_m, expected.to_own_m, atol=1e-6)
+    np.testing.assert_allclose(places.from_centre_m, expected.from_centre_m, atol=1e-6)

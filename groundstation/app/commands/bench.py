@@ -29,6 +29,7 @@ BENCHES = {
     "hostile": "groundstation.app.bench_hostile",
     "law": "groundstation.app.bench_law",
     "sigkill": "groundstation.app.bench_sigkill",
+    "tick": "groundstation.app.bench_tick",
 }
 """Name: module with ``run(out: Output) -> dict``; those of sigkill and law take options of their own too."""
 

@@ -19,7 +19,7 @@ from groundstation.core.gridlock import Sensed
 from groundstation.core.law import OwnAvoidance, OwnLaw, seen_by
 from groundstation.core.limits import Fence, apply_limits, fence_bounds
 from groundstation.core.motion import Motion
-from groundstation.core.near import near_views
+from groundstation.core.near import near_views, views_of
 from groundstation.core.places import Places, own_places
 from groundstation.core.quick import norms, some
 from groundstation.core.regions import SafetyRegion
@@ -152,14 +152,19 @@ class Guide:
 
     def formation(self, poses: Poses, task: Task, course: Course, told_ned_m_s: FloatArray) -> Setpoints:
         """One tick of (14) with avoidance, above the floor of formation flight."""
-        if self._plan.size >= _MANY:
-            views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
-        else:
+        shown = None
+        if self._plan.size < _MANY:
             views = self._views(poses, task.neighbours)
+        elif self._own_law is None and course.sight is None:  # with columns for neighbours alone
+            task, shown = task.near
+            pos_ned_m, rot_ned_from_flu = poses.pos_team_ned_m, poses.rot_ned_from_flu
+            views = views_of(pos_ned_m, poses.vel_ned_m_s, rot_ned_from_flu, shown, task.neighbours)
+        else:
+            views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
         motion = course.motion
         seen, common_enu = views if course.sight is None else course.sight.views, None
         if motion is not None:
-            places = self._places(poses, views, course)
+            places = self._places(poses, views, course, shown)
             common_enu = motion.rigid(places.from_centre_m)
             if course.present is not None:
                 seen = self._without(poses, seen, course.present)
@@ -205,12 +210,14 @@ class Guide:
         )
         return self._own_law(seen)
 
-    def _places(self, poses: Poses, views: LocalViews, course: Course) -> Places:
+    def _places(self, poses: Poses, views: LocalViews, course: Course, who: IntArray | None) -> Places:
         """What each agent makes of its view, in its own level axes."""
         rel_enu_m = _enu_from_flu(poses, views.rel_pos_flu_m)
         free = course.stage.scale.kind == "free"
-        seen = views.visible if course.members is None else views.visible & course.members[None]
-        return own_places(rel_enu_m, seen, course.points_by_agent_m, free_scale=free)
+        seen = views.visible
+        if course.members is not None:
+            seen = seen & (course.members[None] if who is None else course.members[who])
+        return own_places(rel_enu_m, seen, course.points_by_agent_m, who=who, free_scale=free)
 
     def _without(self, poses: Poses, views: LocalViews, motion: Motion) -> LocalViews:
         """Views without the common motion in relative velocities: the lead of the law is for what is not wanted."""
