@@ -10,10 +10,12 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from groundstation.core.quick import finite_rows, norms, pairs
+from groundstation.core.formation import Formation
+from groundstation.core.quick import every, finite_rows, norms, pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
+_FARTHEST = 8  # agents that are looked at first
 _MANY = 64  # agents; for as many a search is quicker than all pairs
 
 
@@ -55,6 +57,38 @@ def formation_error_m(pos_m: FloatArray, distances_m: FloatArray, role_of_agent:
     """
     wanted = distances_m[np.ix_(role_of_agent, role_of_agent)]
     return float(np.abs(pair_distances_m(pos_m) - wanted).max())
+
+
+def team_error_m(pos_m: FloatArray, formation: Formation, role_of_agent: IntArray) -> float:
+    """``formation_error_m`` of a formation, in teams of any size: where there are many not all pairs are looked at.
+
+    The formation is laid over the positions as well as a turn and a mirror can. No distance of a pair is then wrong by
+    more than both of its agents are off their points, so that those farthest off are enough, with everybody.
+
+    Args:
+        pos_m: shape (n, 3), any one frame.
+        formation: its points say what distances are wanted.
+        role_of_agent: shape (n,).
+
+    Returns:
+        Metres; NaN when a position is unknown.
+    """
+    n = len(pos_m)
+    if n < _MANY:
+        return formation_error_m(pos_m, formation.distances_m, role_of_agent)
+    if not every(np.isfinite(pos_m)):
+        return math.nan
+    points_m = formation.points_enu_m[role_of_agent]
+    pos, points = pos_m - pos_m.mean(axis=0), points_m - points_m.mean(axis=0)
+    left, _, right = np.linalg.svd(points.T @ pos)
+    off = norms(pos - points @ (left @ right))
+    order, count = np.argsort(-off, kind="stable"), _FARTHEST
+    while True:
+        some_of = order[:count, None]
+        error_m = float(np.abs(norms(pos[some_of] - pos) - norms(points[some_of] - points)).max())
+        if count >= n or 2.0 * off[order[count]] <= error_m:
+            return error_m
+        count *= 2
 
 
 def free_scale_error_m(pos_m: FloatArray, points_m: FloatArray, role_of_agent: IntArray) -> float:

@@ -9,7 +9,7 @@ Streams, whose frames come in pieces, and links on which signatures are checked 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -160,7 +160,8 @@ class Block:
             values = self._window(shape.size)[self.payload[rows]]
             size = self.payload_size[rows]
             # A newer dialect appends fields that this one does not know: what is past the size is not in the window.
-            least, most = int(size.min()), min(int(size.max()), shape.size)
+            sizes = size.tolist() if len(size) <= _FEW else (int(size.min()), int(size.max()))
+            least, most = min(sizes), min(max(sizes), shape.size)
             if least < shape.size:  # the rest was cut off, or never sent: it reads as zeros
                 raw = values.view(np.uint8).reshape(len(rows), shape.size)
                 raw[:, most:] = 0
@@ -185,7 +186,7 @@ class Arrivals:
 
     def __init__(self) -> None:
         self.size = 0
-        self._items: list[tuple[int, int, int, bytes]] = []
+        self._items: list[tuple[int, str, bytes, int]] = []
         self._number: dict[tuple[int, str], int] = {}
         self._named: tuple[tuple[int, str], ...] = ()
 
@@ -195,45 +196,41 @@ class Arrivals:
 
     def add(self, link: int, peer: str, data: bytes, t_rx_ns: int) -> None:
         """Takes one datagram."""
-        number = self._number
-        self._items.append((link, number.setdefault((link, peer), len(number)), t_rx_ns, data))
+        self._items.append((link, peer, data, t_rx_ns))
         self.size += len(data)
 
-    def extend(self, datagrams: Iterable[tuple[int, str, bytes, int]]) -> None:
+    def extend(self, datagrams: Sequence[tuple[int, str, bytes, int]]) -> None:
         """Takes many datagrams: link, peer, bytes, time of each."""
-        number, items = self._number, self._items
-        before = len(items)
-        items += [
-            (link, number.setdefault((link, peer), len(number)), t_rx_ns, data)
-            for link, peer, data, t_rx_ns in datagrams
-        ]
-        self.size += sum([len(item[3]) for item in items[before:]])
+        self._items += datagrams
+        self.size += sum([len(item[2]) for item in datagrams])
 
     def datagrams(self) -> list[tuple[int, str, bytes, int]]:
         """Hands out the datagrams one by one: link, peer, bytes, time."""
-        sources = list(self._number)
-        taken = [(*sources[source], data, t_ns) for _, source, t_ns, data in self._items]
-        self._clear()
+        taken, self._items = self._items, []
+        self.size = 0
         return taken
 
     def block(self) -> Block:
         """Hands out the datagrams as a block."""
-        offsets = np.zeros(len(self._items) + 1, dtype=np.int64)
-        datas = [item[3] for item in self._items]
+        items, number = self.datagrams(), self._number
+        offsets = np.zeros(len(items) + 1, dtype=np.int64)
+        datas = [item[2] for item in items]
         np.add.accumulate(list(map(len, datas)), out=offsets[1:])
-        if len(self._named) != len(self._number):
-            self._named = tuple(self._number)
-        links, sources, times_ns = np.array([item[:3] for item in self._items], dtype=np.int64).reshape(-1, 3).T.copy()
-        block = split(b"".join(datas), Datagrams(offsets, links, sources, times_ns, self._named))
-        self._clear()
-        return block
-
-    def _clear(self) -> None:
-        self.size = 0
-        self._items.clear()
-        if len(self._number) > _SOURCES_MAX:
-            self._number.clear()
+        sources = [number.setdefault(item[:2], len(number)) for item in items]
+        if len(self._named) != len(number):
+            self._named = tuple(number)
+        where = Datagrams(
+            offsets,
+            link=np.array([item[0] for item in items], dtype=np.int64),
+            source=np.array(sources, dtype=np.int64),
+            t_rx_ns=np.array([item[3] for item in items], dtype=np.int64),
+            sources=self._named,
+        )
+        block = split(b"".join(datas), where)
+        if len(number) > _SOURCES_MAX:
+            number.clear()
             self._named = ()
+        return block
 
 
 def merge(blocks: Sequence[Block]) -> Block:

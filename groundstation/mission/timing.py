@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 
@@ -57,9 +58,13 @@ class HeldEach:
 
     def __init__(self, n: int) -> None:
         self.since_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
+        self._any = False
 
     def __call__(self, conditions: BoolArray, now_ns: int, for_ns: int = SECOND_NS) -> BoolArray:
         """Takes the conditions of this tick, shape (n,); returns which have held for so long."""
+        was, self._any = self._any, some(conditions)
+        if not (was or self._any):  # nothing was so, nothing is
+            return conditions.copy()
         started_ns = np.where(self.since_ns == NEVER, now_ns, self.since_ns)
         self.since_ns = np.where(conditions, started_ns, NEVER)
         return np.asarray(conditions & (now_ns - self.since_ns >= for_ns))

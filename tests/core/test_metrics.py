@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.core import metrics
+from groundstation.core.formation import Formation
 from groundstation.core.regions import SafetyCylinder, SafetySphere
 from tests.core.lag_team import cube
 
@@ -94,3 +95,17 @@ def test_in_large_teams_a_search_finds_what_all_pairs_would(seed: int, n: int) -
     near = np.argwhere(np.triu(metrics.pair_distances_m(pos) < region.reach_m(0.0), 1))
     assert {(int(i), int(j)) for i, j in near} <= found
     assert sorted(found) == list(zip(first.tolist(), second.tolist(), strict=True))
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.05, 1.0]), st.sampled_from([1.0, 1.3]))
+def test_the_error_of_a_large_team_is_that_of_all_its_pairs(seed: int, noise_m: float, size: float) -> None:
+    rng, n = np.random.default_rng(seed), 70
+    points = np.stack(np.meshgrid(range(5), range(5), range(3), indexing="ij"), axis=-1).reshape(-1, 3)[:n] * 1.0
+    formation = Formation("grid", points, ())
+    roles, turn = rng.permutation(n), np.linalg.qr(rng.normal(size=(3, 3)))[0]  # a mirror, half of the time
+    pos = size * points[roles] @ turn + rng.normal(0.0, 1.0, (n, 3)) * noise_m + 7.0
+    expected = metrics.formation_error_m(pos, formation.distances_m, roles)
+    assert metrics.team_error_m(pos, formation, roles) == pytest.approx(expected, abs=1e-9)
+    pos[3, 1] = np.nan
+    assert np.isnan(metrics.team_error_m(pos, formation, roles))

@@ -15,7 +15,7 @@ from groundstation.core import frames
 from groundstation.core.control import Task, auto_control_gain, rate_for_auto_gain_1_s, task_for_roles
 from groundstation.core.formation import Formation
 from groundstation.core.gridlock import GridlockParams, Gridlocks, Sensed
-from groundstation.core.metrics import formation_error_m, free_scale_error_m, vertical_orientation
+from groundstation.core.metrics import free_scale_error_m, team_error_m, vertical_orientation
 from groundstation.core.phases import Phase
 from groundstation.core.places import own_places
 from groundstation.core.quick import finite_rows, some
@@ -84,6 +84,7 @@ class FormationFlight:
         self._helm, guide = helm, helm.guide
         self._now = UnderWay(plan, roster, guide, figures, note)
         self._task: Task | None = None
+        self._sized: tuple[Task, float, Task] | None = None
         self._able_gain = np.inf
         self._doing: StepFlight | None = None
         self._going_home = False
@@ -123,7 +124,7 @@ class FormationFlight:
         here, roles = pos_m[members], self.role_of_agent[members]
         if self._now.stage.scale.kind == "free":
             return free_scale_error_m(here, self._now.stage.formation.points_enu_m, roles)
-        return formation_error_m(here, self._now.formation.distances_m, roles)
+        return team_error_m(here, self._now.formation, roles)
 
     def assign(self, roles: IntArray) -> None:
         """Gives every vehicle its role, and its place in the air above its pad.
@@ -307,9 +308,13 @@ class FormationFlight:
 
     def _sized_task(self, task: Task) -> Task:
         """The task at the size that the formation has at the moment: gains know no size."""
-        if self._now.size == 1.0:
+        size = self._now.size
+        if size == 1.0:
             return task
-        return replace(task, distances_m=self._now.size * task.distances_m, rise_m=self._now.size * task.rise_m)
+        if self._sized is None or self._sized[0] is not task or self._sized[1] != size:
+            sized = replace(task, distances_m=size * task.distances_m, rise_m=size * task.rise_m)
+            self._sized = task, size, sized
+        return self._sized[2]
 
     def _control_gain(self) -> float:
         """The stage's k; an automatic one falls as distances grow, for what tilted views and f make of them grows."""

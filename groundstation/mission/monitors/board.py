@@ -162,9 +162,10 @@ class Board:
             found += [(finding, finding.reaction) for finding in self._losses.find(sight, suspect)]
         for monitor in (self._touchdowns,) if only_the_ground else self._monitors:
             # Here, and nowhere else, it is settled that nobody is judged who is not ours, whatever a monitor finds.
-            judged = [finding.of(ours) for finding in monitor.look(sight, ours.copy())]
-            if not judged:
+            seen = list(monitor.look(sight, ours.copy()))
+            if not seen:
                 continue
+            judged = [finding.of(ours) for finding in seen]
             found += [(finding, self._take(finding, findings, sight)) for finding in judged if finding is not None]
             ours[findings.release] = False  # whoever is released in this tick is judged no more by the next monitor
         lands[findings.land] = True
