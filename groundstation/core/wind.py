@@ -169,6 +169,9 @@ class WindEstimate:
     def __init__(self, frames: Sequence[Airframe], lag_s: FloatArray) -> None:
         n = len(frames)
         self._frames, self._lag_s = tuple(frames), lag_s[:, None]
+        self._kinds = [
+            (kind, np.array([i for i, frame in enumerate(frames) if frame == kind])) for kind in dict.fromkeys(frames)
+        ]
         self._drag = np.array([frame.drag_1_s for frame in frames])[:, None]
         self._push_lag_s = np.array([frame.push_lag_s for frame in frames])[:, None]
         self._settle_s = np.array([frame.settle_s for frame in frames])[:, None]
@@ -253,15 +256,19 @@ class WindEstimate:
         if not self.known:
             self.mean_ned_m_s, self.gust_m_s = np.zeros(3), 0.0
             return
-        winds = [self._frames[i].air_m_s(self._slow[i]) for i in seen]
+        winds, gusts = np.empty((len(seen), 3)), np.empty(len(seen))
+        kinds = [(self._frames[0], seen)]  # mostly all are of one kind
+        if len(self._kinds) > 1:
+            kinds = [(frame, rows[np.isin(rows, seen)]) for frame, rows in self._kinds]
+        for frame, rows in kinds:
+            winds[np.searchsorted(seen, rows)] = frame.air_m_s(self._slow[rows])
         # One vehicle that is odd makes no weather.
-        self.mean_ned_m_s = median(np.array(winds))
+        self.mean_ned_m_s = median(winds)
         mean_m_s = length(self.mean_ned_m_s)
-        gusts = [
-            max(float(self._square[i]) - _LEVEL_M_S2**2, 0.0) / self._frames[i].slope_1_s(0.75 * mean_m_s) ** 2
-            for i in seen
-        ]
-        self.gust_m_s = math.sqrt(float(median(np.array(gusts)))) / _SHORTFALL
+        for frame, rows in kinds:
+            beyond = np.maximum(self._square[rows] - _LEVEL_M_S2**2, 0.0)
+            gusts[np.searchsorted(seen, rows)] = beyond / frame.slope_1_s(0.75 * mean_m_s) ** 2
+        self.gust_m_s = math.sqrt(float(median(gusts))) / _SHORTFALL
 
 
 def _share(passed_s: float, time_s: FloatArray) -> FloatArray:
