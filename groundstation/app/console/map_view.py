@@ -52,14 +52,14 @@ class Tiles:
         self.zoom_max = max(zooms)
         self._folder, self._kind = folder, first.suffix
 
+    def tile(self, zoom: int, x: int, y: int) -> Response:
+        """One of them, or nothing to be seen where it is not there: no page is told of an error for that."""
+        path = self._folder / str(zoom) / str(x) / f"{y}{self._kind}"
+        return FileResponse(path) if path.is_file() else Response(_NOTHING, media_type="image/png")
+
     def serve(self) -> str:
         """Gives them to pages; returns the template of their addresses."""
-
-        @app.get("/tiles/{zoom}/{x}/{y}")
-        def tile(zoom: int, x: int, y: int) -> Response:
-            path = self._folder / str(zoom) / str(x) / f"{y}{self._kind}"
-            return FileResponse(path) if path.is_file() else Response(_NOTHING, media_type="image/png")
-
+        app.get("/tiles/{zoom}/{x}/{y}")(self.tile)
         return "/tiles/{z}/{x}/{y}"
 
 
