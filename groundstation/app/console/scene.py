@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 from nicegui import ui
@@ -72,13 +74,18 @@ class TeamScene:
                 if sum(a != b for a, b in zip(one, other, strict=True)) == 1:
                     ends = [[float((low, high)[c][axis]) for axis, c in enumerate(end)] for end in (one, other)]
                     scene.line(*ends).material(SKY)
-            self._bodies = [scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE) for _ in range(n)]
             # Their inner sides alone: outer ones may be drawn before what is in them, which is then not seen.
             round_, tall = (32, 16) if n <= _MANY else (12, 8)  # corners are what a software renderer pays for
-            self._regions = [scene.sphere(r_m / 2, round_, tall).material(BLUE, 0.15, "back") for _ in range(n)]
+            self._vehicles, self._bodies, self._regions = [], [], []
+            for sysid in snapshot.ids.tolist():
+                with scene.group() as vehicle:  # moved as one
+                    self._bodies.append(scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE))
+                    self._regions.append(scene.sphere(r_m / 2, round_, tall).material(BLUE, 0.15, "back"))
+                    self._regions[-1].visible(self._has_radius)
+                    scene.text(str(sysid)).move(0.0, 0.0, r_m)
+                self._vehicles.append(vehicle)
             self._ghosts = [scene.sphere(0.3 * body_m, 8, 6).material(GREEN, 0.6).visible(False) for _ in range(n)]
             self._clouds = [scene.point_cloud([[0, 0, 0]], [[0, 0.45, 0.7]], 0.03) for _ in range(n)]
-            self._labels = [scene.text(str(sysid)) for sysid in snapshot.ids.tolist()]
         self._edges: list[Line] = []
         self._colours: dict[int, str] = {}
         self._r_m, self._grown = r_m, [1.0] * n
@@ -104,7 +111,19 @@ class TeamScene:
         )
 
     def show(self, snapshot: Snapshot, *, slowly: bool) -> None:
-        """Moves everything; ``slowly``: trails, graph and ghost too, which take longer."""
+        """Moves everything; ``slowly``: trails, graph and ghost too, which take longer.
+
+        All of it is one message: a browser that gets thousands of them in a second falls behind.
+        """
+        with self._at_once():
+            self._show(snapshot, slowly=slowly)
+
+    def _at_once(self) -> AbstractContextManager[object]:
+        """Collects what is said to the scene; of NiceGUI's own, and done without where a version has it not."""
+        batch: Callable[[], AbstractContextManager[object]] = getattr(self.view, "_batch_calls", nullcontext)
+        return batch()
+
+    def _show(self, snapshot: Snapshot, *, slowly: bool) -> None:
         known = np.all(np.isfinite(snapshot.pos_team_enu_m), axis=1)
         if not self._t_s <= snapshot.t_s <= self._t_s + _JUMP_S:  # a replay that jumps leaves no trail
             for trail in self._trails:
@@ -114,16 +133,13 @@ class TeamScene:
             there = bool(known[row])
             if there != self._there[row]:
                 self._there[row] = there
-                self._bodies[row].visible(there)
-                self._regions[row].visible(there and self._has_radius)
-                self._labels[row].visible(there)
+                self._vehicles[row].visible(there)
         quats = np.where(np.isfinite(snapshot.quat_ned_from_frd), snapshot.quat_ned_from_frd, [1.0, 0.0, 0.0, 0.0])
         rotations = _ENU_FROM_NED @ frames.rot_ned_from_flu(quats)
         for row in np.flatnonzero(known).tolist():
             at = snapshot.pos_team_enu_m[row].tolist()
-            self._bodies[row].move(*at).rotate_R(rotations[row].tolist())
-            self._regions[row].move(*at)
-            self._labels[row].move(at[0], at[1], at[2] + self._r_m)
+            self._vehicles[row].move(*at)
+            self._bodies[row].rotate_R(rotations[row].tolist())
             bits = int(snapshot.state[row])
             colour = vehicle_colour(bits)
             if self._colours.get(row) != colour:
