@@ -38,7 +38,7 @@ rate_hz: 50
 speed_limit_m_s: {speed}
 avoidance: {{radius_m: {radius}, activation_m: 0.5, shape: sphere}}
 takeoff: {{height_m: 0.5}}
-steps: [hover: {{seconds: 60}}]
+steps: [hover: {{seconds: {seconds}}}]
 land: {{at: pads}}
 fence: {{min_m: [-10, -10, 0], max_m: [{far}, {far}, 30]}}
 failsafe: {{ceiling_m: 25.0, set_parameters: true}}
@@ -46,7 +46,8 @@ vehicles:
 {vehicles}
 """
 _VEHICLE = (
-    '  - {{id: {id}, link: "udpin://127.0.0.1:14540", autopilot: px4, profile: crazyflie, pad_m: [{east}, {north}, 0]}}'
+    '  - {{id: {id}, link: "udpin://127.0.0.1:{port}", autopilot: px4, profile: crazyflie, '
+    "pad_m: [{east}, {north}, 0]}}"
 )
 
 
@@ -68,13 +69,18 @@ def run(out: Output) -> dict[str, float | int]:
     return values
 
 
-def _plan(n: int) -> MissionPlan:
+def hover_mission(n: int, port: int, seconds: float) -> str:
+    """A mission file: n vehicles hover above a grid of pads, 1 m between neighbours, all behind one port."""
     side = math.ceil(math.sqrt(n))
-    rows = [_VEHICLE.format(id=k + 1, east=k % side, north=k // side) for k in range(n)]
-    text = _MISSION.format(speed=_SPEED_M_S, radius=_RADIUS_M, far=side + 10, vehicles="\n".join(rows))
+    rows = [_VEHICLE.format(id=k + 1, port=port, east=k % side, north=k // side) for k in range(n)]
+    vehicles = "\n".join(rows)
+    return _MISSION.format(speed=_SPEED_M_S, radius=_RADIUS_M, far=side + 10, seconds=seconds, vehicles=vehicles)
+
+
+def _plan(n: int) -> MissionPlan:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "hover.yaml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(hover_mission(n, 14_540, 60.0), encoding="utf-8")
         return load_mission(path)
 
 

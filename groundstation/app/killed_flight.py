@@ -141,7 +141,7 @@ def fly_and(
     Raises:
         UserError: the mission is wrong.
     """
-    port = _free_port()
+    port = free_port()
     plan = load_mission(mission, changes)
     sets = [*(f"vehicles.{number}.link=udpin://127.0.0.1:{port}" for number in range(plan.size)), *changes]
     log = folder / "flight.tlog"
@@ -260,7 +260,8 @@ def _read(log: Path, killed_unix_us: int | None) -> dict[str, Any]:
     return values
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A UDP port of this machine that nobody listens on."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -111,12 +111,11 @@ class Station:
     def take_block(self, block: Block) -> None:
         """The same for many datagrams."""
         where = block.datagrams
-        links = set(where.link.tolist())
+        links = np.bincount(where.link).nonzero()[0].tolist()
+        sizes = np.diff(where.offsets) if len(links) > 1 else None
         for link in links:
-            many = len(links) > 1
-            self.bytes_received[link] += (
-                int(np.diff(where.offsets)[where.link == link].sum()) if many else int(where.offsets[-1])
-            )
+            size = where.offsets[-1] if sizes is None else sizes[where.link == link].sum()
+            self.bytes_received[link] += int(size)
         noise = block.noise
         if noise:
             self.fleet.counts["bytes that were no frame"] += noise

@@ -28,6 +28,7 @@ BENCHES = {
     "gains": "groundstation.app.bench_gains",
     "hostile": "groundstation.app.bench_hostile",
     "law": "groundstation.app.bench_law",
+    "loop": "groundstation.app.bench_loop",
     "sigkill": "groundstation.app.bench_sigkill",
     "tick": "groundstation.app.bench_tick",
 }
@@ -54,7 +55,7 @@ def bench(
     out = Output(as_json=as_json)
     if name not in BENCHES:
         raise UserError(f"gs bench {name}: {unknown(name, BENCHES)}")
-    if name in ("codec", "hostile", "flood"):
+    if name in ("codec", "hostile", "flood", "loop"):
         need("mavlink", f"gs bench {name}")
     if name == "gains":
         need("solvers", "gs bench gains")
