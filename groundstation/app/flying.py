@@ -19,8 +19,10 @@ from groundstation.app.console.viewers import shown
 from groundstation.app.emulator import TruthMeter, served_world, world_config
 from groundstation.app.fence_giving import give_fence
 from groundstation.app.forwarding import Forward
+from groundstation.app.gateway.process import serving
 from groundstation.app.keyboard import Keyboard
 from groundstation.app.law_watch import LawWatch
+from groundstation.app.link_watch import LinkWatch
 from groundstation.app.loop import Control, FlightClock, Interrupts, fly_real, fly_virtual, wall_clock_pace
 from groundstation.app.mocap.emulated import emulated_team
 from groundstation.app.mocap.process import reading
@@ -181,7 +183,7 @@ def fly_dry(
     laws = LawWatch(plan, dry=True)
     plan = laws.plan
     world = World(replace(world_config(plan, seed), faults=tuple(faults)), seed)
-    meter = TruthMeter(world)
+    meter, links_watch = TruthMeter(world), LinkWatch(plan.size)
     struck = [fault.record() for fault in faults]
     recorded = (
         None if log_path is None else LogPlan(log_path, versions(), seed, dry_run=True, replace=True, faults=struck)
@@ -205,6 +207,7 @@ def fly_dry(
                 watchers=(
                     display,
                     meter,
+                    links_watch,
                     laws,
                     *shown(at_the_desk, plan, meter.figures, console=console),
                     *(() if watch is None else (lambda at, now_ns: watch(at, now_ns, world),)),
@@ -213,13 +216,15 @@ def fly_dry(
                 pace=wall_clock_pace() if realtime else None,
                 controls=controls,
             )
+        _note(session, links_watch.words(), links_watch.now_ns)
     values = _values(session, log_path, seed) | meter.figures() | {"log_complete": _complete(flight.log)}
     values |= laws.figures()
     record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
     _tell_refused(out, values, plan, gate)
     _tell_forward(out, forward)
-    if laws.words():
-        out.console.print(Text(laws.words(), style="bold red"))
+    for words, style in ((laws.words(), "bold red"), (links_watch.words(), "")):
+        if words:
+            out.console.print(Text(words, style=style))
     _finish(out, log_path, flight.manifest, values | record)
     return values | {"beside": record}
 
@@ -324,7 +329,7 @@ def fly_vehicles(
             why_not = PreflightRefused(refusal("; ".join(refused)))
             why_not.answered = False
             raise why_not
-        disk, laws, times = Disk(), LawWatch(plan), TickTimes()
+        disk, laws, times, links_watch = Disk(), LawWatch(plan), TickTimes(), LinkWatch(plan.size)
         plan = laws.plan
         struck = [fault.record() for fault in faults]
         recorded = LogPlan(
@@ -332,6 +337,7 @@ def fly_vehicles(
         )
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
         stack.enter_context(reading(plan))
+        keepers = stack.enter_context(serving(plan))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
         session, gate, links = flight.session, flight.gate, flight.links
         if flight.unlogged:
@@ -353,14 +359,18 @@ def fly_vehicles(
                     disk,
                     laws,
                     keeper,
+                    links_watch,
                     *(() if meter is None else (meter,)),
                     *shown(at_the_desk, plan, meter.figures if meter else dict, times, console=console),
                 ),
                 interrupts=interrupts,
-                controls=controls,
+                controls=(*controls, *keepers),
                 times=times,
             )
-        _note_times(session, times, flight.clock)
+        for words in (times.words(), links_watch.words()):
+            _note(session, words, links_watch.now_ns)
+        if links_watch.words():
+            out.console.print(Text(links_watch.words()))
         values = _values(session, log_path, emulated_seed) | times.figures()
         values["reason"] = "; ".join([str(values["reason"]), *link_troubles(links)]) if values["reason"] else ""
         _tell_refused(out, values, plan, gate)
@@ -418,10 +428,10 @@ def _values(session: Session, log_path: Path | None, seed: int | None) -> dict[s
     }
 
 
-def _note_times(session: Session, times: TickTimes, clock: FlightClock | None) -> None:
-    """Keeps in the log how punctual the flight was."""
-    if clock is not None and (text := times.words()):
-        session.remark("info", text, clock.now_ns())
+def _note(session: Session, text: str, now_ns: int) -> None:
+    """Keeps in the log how the flight was, where there is something to tell."""
+    if text:
+        session.remark("info", text, now_ns)
 
 
 def _for_the_record(runner: Told, gate: FlightGate | None) -> dict[str, Any]:

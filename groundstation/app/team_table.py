@@ -35,7 +35,7 @@ _DOES = {
     Duty.KILLED: "killed",
 }
 _NAMED = re.compile(r"vehicles? (\d+)(?: and (\d+))?: (.*)", re.DOTALL)
-_HEADS = ("id", "does", "mode", "height", "speed", "pose", "battery", "last alarm")
+_HEADS = ("id", "does", "mode", "height", "speed", "pose", "battery", "radio", "last alarm")
 
 
 class LastAlarms:
@@ -91,8 +91,9 @@ def team_table(session: Session, look: Look, alarms: LastAlarms, now_ns: int, li
     wrong = recent | look.lost | look.held | low | ~fresh | ~ours | left
     order = np.lexsort((np.arange(plan.size), ~wrong))
     shown = order if plan.size <= lines else order[: max(lines - 1, ROWS_MIN - 1)]
+    radio = bool(np.isfinite(fleet.link_heard).any())
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim", show_edge=False)
-    for head in _HEADS:
+    for head in _HEADS if radio else [head for head in _HEADS if head != "radio"]:
         right = head in ("id", "height", "speed", "pose", "battery")
         table.add_column(head, justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
     for row in np.sort(shown).tolist():
@@ -118,6 +119,7 @@ def team_table(session: Session, look: Look, alarms: LastAlarms, now_ns: int, li
             _number(speed_m_s[row], "m/s"),
             Text(_number(age_s[row], "s"), "" if fresh[row] else "yellow"),
             Text(_percent(float(fleet.battery_remaining[row])), "yellow" if low[row] else ""),
+            *([_radio(float(fleet.link_heard[row]), float(fleet.link_trip_s[row]))] if radio else []),
             Text(alarms.text(row).split(";")[0], "red" if recent[row] else "dim"),
         )
     rest = plan.size - len(shown)
@@ -129,6 +131,12 @@ def team_table(session: Session, look: Look, alarms: LastAlarms, now_ns: int, li
 
 def _number(value: float, unit: str) -> str:
     return f"{value:z.2f} {unit}" if math.isfinite(value) and abs(value) < 1e4 else "-"
+
+
+def _radio(heard: float, trip_s: float) -> Text:
+    """How a vehicle's radio link is, as its gateway measures it."""
+    trip = f" {trip_s * 1000.0:.0f} ms" if math.isfinite(trip_s) else ""
+    return Text(f"{_percent(heard)}{trip}", "yellow" if heard < 0.7 or trip_s > 0.15 else "")
 
 
 def _percent(share: float) -> str:

@@ -11,14 +11,22 @@ import math
 from collections.abc import Mapping
 
 from groundstation.gateway.measured import Pose, charge, enu_from_flu, read_pose
-from groundstation.gateway.orders import ExternalPose, Order, SetParam
+from groundstation.gateway.orders import ExternalPose, LogRate, Order, Ping, Place, SetParam
 from groundstation.gateway.params import ParamServer
 from groundstation.gateway.pilot import SECOND_NS, Mode, Pilot
-from groundstation.gateway.settings import Settings
+from groundstation.gateway.quality import LinkQuality
+from groundstation.gateway.settings import LIMITS, Settings
 from groundstation.gateway.stamps import Stamps
 from groundstation.mavlink.codec import Encoder, Frame, Splitters, StructuredArray, decode, message_id
 from groundstation.mavlink.mocap_frames import PACKED_TYPE, unpacked_poses
-from groundstation.mavlink.vehicle import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from groundstation.mavlink.vehicle import (
+    LANDED_IN_AIR,
+    LANDED_LANDING,
+    LANDED_ON_GROUND,
+    LANDED_TAKEOFF,
+    LINK_HEARD,
+    LINK_TRIP,
+)
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4  # MAV_RESULT
 _MS, _US = 1_000_000, 1_000
@@ -48,19 +56,23 @@ class Bridge:
     Args:
         sysid: of the MAVLink system that it becomes.
         now_ns: time at which it begins, on the clock of all later calls.
+        log_hz: poses a second that the vehicle is made to log.
+        boot_ns: what it tells as its time since start-up counts from here; None for ``now_ns``.
 
     Attributes:
         pilot: who flies it.
+        quality: of its link, and the rates that follow.
         ignored: setpoints that were not followed.
         lateness_ns: of the last pose, against the quickest that ever came.
     """
 
-    def __init__(self, sysid: int, now_ns: int) -> None:
+    def __init__(self, sysid: int, now_ns: int, log_hz: float = 50.0, boot_ns: int | None = None) -> None:
         self.sysid = sysid
+        self.quality = LinkQuality(log_hz)
         self.settings = Settings()
         self.pilot = Pilot(self.settings)
         self.ignored = 0
-        self._begun_ns = now_ns
+        self._begun_ns = now_ns if boot_ns is None else boot_ns
         self._encoder, self._splitters, self._stamps = Encoder(sysid), Splitters(), Stamps()
         self._params = ParamServer(self.settings, self._encoder)
         self._frames: list[bytes] = []
@@ -72,6 +84,7 @@ class Bridge:
         self._next_ns = dict.fromkeys((*_STREAMS_HZ, *_BY_POSE), 0)
         self._period_ns = {name: round(SECOND_NS / hz) for name, hz in _STREAMS_HZ.items()} | dict.fromkeys(_BY_POSE, 0)
         self._told: tuple[int, bool, int] = (-1, False, 0)
+        self._link_told_ns = self._external_ns = 0
         self._trouble: str | None = None
         self._text_number = 0
         self._flew = self._ends = False
@@ -94,6 +107,24 @@ class Bridge:
         self._params.know(params)
         if params.get("commander.enHighLevel", (1.0, 0))[0] == 0.0:
             self.pilot.orders.append(SetParam("commander.enHighLevel", 1.0))
+
+    def resume(self, home_enu_m: Place | None, settings: Mapping[str, float], now_ns: int) -> None:
+        """Takes over a vehicle that flies, whose gateway has ended: it is told to stay where it is, before all else.
+
+        Args:
+            home_enu_m: where it took off, in the room's frame; None where nobody knows.
+            settings: the gateway's own, as they were.
+            now_ns: time of that.
+        """
+        for name, value in settings.items():
+            if name in LIMITS:
+                self.settings.set_value(name, value)
+        self.pilot.resume(home_enu_m, now_ns)
+        self._text(_WARNING, "its gateway has begun anew; it stays where it is")
+
+    def echoed(self, number: int, now_ns: int) -> None:
+        """Takes an echo that was asked for by ``Ping``."""
+        self.quality.echoed(number, now_ns)
 
     def param_told(self, name: str, value: float) -> None:
         """Takes a parameter's value, after it was set."""
@@ -119,6 +150,7 @@ class Bridge:
         if self._stamps.restarts != restarts:
             self._text(_WARNING, "has started anew")
         self._pose, self._heard_ns = pose, now_ns
+        self.quality.posed(stamp_ms, now_ns)
         self.pilot.saw(pose, measured_ns)
         if self._variance_m2 <= _VARIANCE_LOST_M2:
             self._tell_pose(pose, measured_ns, now_ns)
@@ -146,13 +178,15 @@ class Bridge:
         """Takes one frame of a ground station."""
         for batch in decode([frame]):
             if batch.name == "TUNNEL":
-                self._see(batch.values[0])
+                self._see(batch.values[0], now_ns)
             else:
                 self._obey(batch.name, batch.values[0], now_ns)
 
-    def _see(self, values: StructuredArray) -> None:
+    def _see(self, values: StructuredArray, now_ns: int) -> None:
         """Takes its pose out of those of several; of those that wait only the newest goes on to the vehicle."""
         if int(values["payload_type"]) != PACKED_TYPE:
+            return
+        if now_ns - self._external_ns < 0.9 * SECOND_NS / self.quality.cap_hz:
             return
         for sysid, (north, east, down, *quat) in unpacked_poses(
             bytes(values["payload"][: int(values["payload_length"])])
@@ -160,6 +194,7 @@ class Bridge:
             if sysid != self.sysid or not all(map(math.isfinite, (north, east, down))):
                 continue
             turned = enu_from_flu(*quat) if all(map(math.isfinite, quat)) else None
+            self._external_ns = now_ns
             self.pilot.orders = [order for order in self.pilot.orders if not isinstance(order, ExternalPose)]
             self.pilot.orders.append(ExternalPose((east, north, -down), turned))
 
@@ -279,10 +314,28 @@ class Bridge:
         if not self._heard(now_ns):
             return
         self._tell_changes(now_ns)
+        self._measure_link(now_ns)
         for name in _STREAMS_HZ:
             if self._period_ns[name] >= 0 and now_ns >= self._next_ns[name]:
                 self._next_ns[name] = max(self._next_ns[name] + self._period_ns[name], now_ns)
                 self._tell(name, now_ns)
+
+    def _measure_link(self, now_ns: int) -> None:
+        """Measures, lowers rates where that is needed, and tells."""
+        quality = self.quality
+        number = quality.ping(now_ns)
+        if number is not None:
+            self.pilot.orders.append(Ping(number))
+        if quality.step(now_ns):
+            self.pilot.most_hz = quality.cap_hz
+            self.pilot.orders.append(LogRate(quality.log_hz))
+            self._text(_WARNING if quality.level else _INFO, quality.words())
+        if now_ns - self._link_told_ns >= SECOND_NS:
+            self._link_told_ns = now_ns
+            stamp_ms = max(0, now_ns - self._begun_ns) // _MS
+            for name, value in ((LINK_HEARD, quality.heard), (LINK_TRIP, quality.trip_s)):
+                if math.isfinite(value):
+                    self._emit("NAMED_VALUE_FLOAT", time_boot_ms=stamp_ms, name=name.encode(), value=value)
 
     def end(self, now_ns: int) -> None:
         """Lands it if it flies; from now on it obeys nothing but a kill."""
@@ -299,6 +352,13 @@ class Bridge:
         """Hands out what is to be sent to the vehicle."""
         orders, self.pilot.orders = self.pilot.orders, []
         return orders
+
+    def take_external_pose(self) -> ExternalPose | None:
+        """Hands out the pose from outside that waits, for whoever sends those of several together."""
+        found = next((order for order in self.pilot.orders if isinstance(order, ExternalPose)), None)
+        if found is not None:
+            self.pilot.orders.remove(found)
+        return found
 
     def _heard(self, now_ns: int) -> bool:
         return self._heard_ns is not None and now_ns - self._heard_ns <= _SILENT_NS
@@ -396,5 +456,5 @@ class Bridge:
         for place, piece in enumerate(pieces):
             self._emit("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=place)
 
-    def _emit(self, name: str, **fields: float | bytes) -> None:
+    def _emit(self, name: str, /, **fields: float | bytes) -> None:
         self._frames.append(self._encoder.encode(name, **fields))

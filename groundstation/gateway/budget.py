@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from urllib.parse import urlsplit
 
 from groundstation.core.errors import UserError
+from groundstation.gateway.packets import PACKED
+from groundstation.mavlink.addresses import RADIO_RATES
 
 _ON_AIR_BYTES = 41  # 32 and preamble, address, control field, checksum
 _TURN_S, _USB_S = 130e-6, 500e-6
-_BITS_S = {"250K": 250e3, "1M": 1e6, "2M": 2e6}
+_BITS_S = dict(zip(RADIO_RATES, (250e3, 1e6, 2e6), strict=True))
 USABLE = 0.6
 """Of the transactions: the rest is for losses, which are sent again, and for asking those that have nothing to say."""
 _STATUS_HZ, _OTHER_HZ = 2.0, 2.0
-_PACKED = 4
 LEAST_HZ = 10.0
 """The authors of the paper needed 10 Hz or more for each vehicle."""
 
@@ -32,7 +32,7 @@ class Rates:
         setpoint_hz: velocities to it.
         log_hz: poses that it logs.
         pose_hz: poses from outside to it; 0 where it has its own positioning.
-        broadcast: these go to four vehicles in one packet, which nobody acknowledges.
+        broadcast: these go to two vehicles in one packet, which nobody acknowledges.
     """
 
     setpoint_hz: float
@@ -47,21 +47,6 @@ class Rates:
         )
 
 
-def radio_of(uri: str) -> tuple[str, str] | None:
-    """Number of the radio and data rate of a cflib address; None for one that is not by radio.
-
-    Raises:
-        UserError: a radio address of another form.
-    """
-    parts = urlsplit(uri)
-    if parts.scheme != "radio":
-        return None
-    words = [parts.netloc, *parts.path.strip("/").split("/")]
-    if len(words) < 3 or words[2] not in _BITS_S or not words[1].isdigit():
-        raise UserError(f"{uri}: expected radio://RADIO/CHANNEL/RATE/ADDRESS, for example radio://0/80/2M/E7E7E7E701")
-    return words[0], words[2]
-
-
 def capacity(data_rate: str) -> float:
     """Transactions a second of a radio at 250K, 1M or 2M; an estimate."""
     air_s = 8.0 * _ON_AIR_BYTES / _BITS_S[data_rate]
@@ -72,7 +57,7 @@ def transactions(vehicles: int, rates: Rates) -> float:
     """What so many vehicles on one radio cost, transactions a second."""
     up = rates.setpoint_hz + _OTHER_HZ + (0.0 if rates.broadcast else rates.pose_hz)
     down = rates.log_hz + _STATUS_HZ
-    shared = rates.pose_hz * math.ceil(vehicles / _PACKED) if rates.broadcast else 0.0
+    shared = rates.pose_hz * math.ceil(vehicles / PACKED) if rates.broadcast else 0.0
     return vehicles * max(up, down) + shared
 
 

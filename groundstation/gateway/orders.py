@@ -96,6 +96,31 @@ class ExternalPose:
     quat_enu_from_flu: tuple[float, float, float, float] | None
 
 
+@dataclass(frozen=True)
+class Ping:
+    """Asks for an echo, by its number (16 bits)."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class LogRate:
+    """Poses a second that it is to log from now on."""
+
+    hz: float
+
+
 Order = (
-    ExternalPose | Velocity | SetpointsStop | TakeOff | LandAt | GoTo | HighLevelStop | Arm | EmergencyStop | SetParam
+    Ping
+    | LogRate
+    | ExternalPose
+    | Velocity
+    | SetpointsStop
+    | TakeOff
+    | LandAt
+    | GoTo
+    | HighLevelStop
+    | Arm
+    | EmergencyStop
+    | SetParam
 )

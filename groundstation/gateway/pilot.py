@@ -1,7 +1,7 @@
 """Who flies a Crazyflie at this moment: nobody, the ground station's velocities, or the high-level commander.
 
 The rules that keep it in the air: velocities outrank the high-level commander, so they are ended by name before it is
-asked for anything; they are repeated at a stated rate while they are news, and before the firmware would level out
+asked for anything; one that is not renewed is repeated while it is news, and before the firmware would level out
 (0.5 s) and fall (2 s) the vehicle is told to stay where it believes to be. Sends nothing: orders lie in ``orders``.
 """
 
@@ -29,6 +29,7 @@ SECOND_NS = 1_000_000_000
 _CLIMB_M_S, _CRUISE_M_S, _SINK_M_S = 0.8, 1.0, 0.4
 _TAKE_OFF_M_S, _EASE_S = 0.5, 1.5
 _FRESH_NS = SECOND_NS // 2
+_REPEAT_NS = SECOND_NS // 10  # a velocity that nobody renews, as long as it is news: one packet may have been lost
 _DOWN_NS = SECOND_NS
 _YAW_GAIN_1_S, _YAW_RATE_MAX = 1.5, math.radians(60.0)
 _LEAST_DURATION_S = 1.0
@@ -54,11 +55,13 @@ class Pilot:
     Attributes:
         mode: what it does.
         failsafe: it does so since it was left alone.
+        most_hz: setpoints a second, where its link carries no more than that.
         orders: what is to be sent, in order; whoever sends it empties it.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.mode, self.failsafe = Mode.STAND, False
+        self.most_hz = math.inf
         self.orders: list[Order] = []
         self._settings = settings
         self._armed = False  # by the ground station: one that arms itself is not, as long as it stands
@@ -103,6 +106,12 @@ class Pilot:
     def station(self, now_ns: int) -> None:
         """Takes note that the ground station lives."""
         self._station_ns = now_ns
+
+    def resume(self, home_enu_m: Place | None, now_ns: int) -> None:
+        """Takes over one that flies, from a gateway that has ended: it stays where it is, until a velocity comes."""
+        self.mode, self.failsafe, self._home_enu_m = Mode.HOLD, True, home_enu_m
+        self._velocity, self._heard_ns = ((0.0, 0.0, 0.0), None), now_ns
+        self.orders += [SetpointsStop(), GoTo((0.0, 0.0, 0.0), True, 0.0, _LEAST_DURATION_S)]
 
     # -- what is asked of it ------------------------------------------------------------------------------------
 
@@ -189,7 +198,7 @@ class Pilot:
         share = min(1.0, self._settings["GW_SPEED_M_S"] / speed) if speed > 0.0 else 1.0
         x, y, z = vel_enu_m_s
         self._velocity, self._heard_ns = ((share * x, share * y, share * z), yaw_enu_rad), now_ns
-        if now_ns - self._sent_ns >= 0.9 * SECOND_NS / self._settings["GW_SETP_HZ"]:
+        if now_ns - self._sent_ns >= 0.9 * SECOND_NS / min(self._settings["GW_SETP_HZ"], self.most_hz):
             self._send(now_ns)
         return True
 
@@ -212,7 +221,7 @@ class Pilot:
                 age_s = (now_ns - self._heard_ns) / SECOND_NS
                 self._stay(now_ns, failsafe=True)
                 return f"no setpoint for {age_s:.2f} s; it stays where it is"
-            if now_ns - self._sent_ns >= SECOND_NS / self._settings["GW_SETP_HZ"]:
+            if now_ns - self._sent_ns >= _REPEAT_NS:
                 self._send(now_ns)
         return None
 

@@ -16,6 +16,9 @@ EXAMPLES = (
     "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/ttyUSB0:57600,"
     " or mavsdk:// before one of them"
 )
+GATEWAY_LINK = "udpout://127.0.0.1:14588"
+"""Between a flight and its gateway when a mission says nothing else: the gateway listens there."""
+RADIO_RATES = ("250K", "1M", "2M")
 _SOCKETS = ("udpin", "udpout", "tcpout", "tcpin")
 _BITS_PER_BYTE = 10  # start bit, eight bits, stop bit
 _BAUD_MIN, _BAUD_MAX = 1_200, 12_000_000
@@ -80,3 +83,33 @@ def parse_address(url: str) -> LinkAddress:
     except ValueError:
         pass
     raise UserError(f"link {url}: expected {EXAMPLES}")
+
+
+def is_crtp(url: str) -> bool:
+    """Whether an address is one of cflib's, behind which a vehicle speaks CRTP: radio://..., udp://HOST:PORT."""
+    return url.startswith(("radio://", "udp://"))
+
+
+def mavlink_url(url: str, gateway: str | None) -> str:
+    """By which link a vehicle's MAVLink comes: its own, or that of the flight's gateway; flights and logs agree on it.
+
+    Args:
+        url: as the mission has it.
+        gateway: the key gateway.link of a mission; None for the usual one.
+    """
+    return (gateway or GATEWAY_LINK) if is_crtp(url) else url
+
+
+def radio_of(url: str) -> tuple[str, str] | None:
+    """Number of the radio and data rate of a cflib address; None for one that is not by radio.
+
+    Raises:
+        UserError: an address of another form.
+    """
+    parts = urlsplit(url)
+    if parts.scheme == "udp" and parts.hostname and parts.port is not None:
+        return None
+    words = [parts.netloc, *parts.path.strip("/").split("/")]
+    if parts.scheme != "radio" or len(words) < 3 or words[2] not in RADIO_RATES or not words[1].isdigit():
+        raise UserError(f"{url}: expected radio://RADIO/CHANNEL/RATE/ADDRESS, for example radio://0/80/2M/E7E7E7E701")
+    return words[0], words[2]

@@ -196,7 +196,7 @@ class Encoder:
     version: int = 2
     seq: int = field(default=0)
 
-    def encode(self, name: str, **fields: Any) -> bytes:
+    def encode(self, name: str, /, **fields: Any) -> bytes:
         """Encodes one message; fields that are not given are 0.
 
         Args:

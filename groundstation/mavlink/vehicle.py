@@ -62,6 +62,8 @@ COUNTED = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "
 HEARTBEAT_PATIENCE = 3.0
 """How many times longer a heartbeat may be missing than everything."""
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
+LINK_HEARD, LINK_TRIP = "link_heard", "link_trip"
+"""Names under which a gateway tells of a vehicle's radio link (NAMED_VALUE_FLOAT): a share, seconds."""
 _OFF_THE_GROUND = (LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING)
 
 
@@ -158,6 +160,9 @@ class Fleet:
         estimator_ns: their arrival, shape (n,).
         velocity_ratio: how far measured velocities are off the estimated one, in shares of what the estimator takes
             for possible, from the same messages, NaN before, shape (n,).
+        link_heard: share of what a vehicle's radio sends that comes, 0 to 1, as its gateway measures it; NaN where
+            nobody does, shape (n,).
+        link_trip_s: how long a packet takes there and back, the same, shape (n,).
         firmware: flight_sw_version of AUTOPILOT_VERSION: major, minor, patch, type, a byte each; UNKNOWN before,
             shape (n,).
         counts: events that are counted rather than raised, for example ``"unknown system"``.
@@ -207,6 +212,8 @@ class Fleet:
         self.estimator_flags = _unknowns(n)
         self.estimator_ns = _times(n)
         self.velocity_ratio = np.full(n, np.nan)
+        self.link_heard: FloatArray = np.full(n, np.nan)
+        self.link_trip_s: FloatArray = np.full(n, np.nan)
         self.firmware = _unknowns(n)
         self.seen = {name: np.zeros(n, dtype=np.int64) for name in COUNTED}
         self.clocks = Clocks(n)
@@ -738,6 +745,11 @@ class Fleet:
         self.velocity_ratio[row] = told
         self.estimator_ns[row] = t_ns
 
+    def _named_value(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
+        for name, told in ((LINK_HEARD, self.link_heard), (LINK_TRIP, self.link_trip_s)):
+            mine = batch.values["name"] == name.encode()
+            told[row[mine]] = batch.values["value"][mine]
+
     def _version(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
         self.firmware[row] = batch.values["flight_sw_version"]
         for values, vehicle, t in zip(batch.values, row.tolist(), t_ns.tolist(), strict=True):
@@ -792,6 +804,7 @@ _HANDLERS: dict[str, Callable[[Fleet, Batch, IntArray, IntArray], BoolArray | No
     "ESTIMATOR_STATUS": Fleet._estimator,
     "EKF_STATUS_REPORT": Fleet._estimator,
     "AUTOPILOT_VERSION": Fleet._version,
+    "NAMED_VALUE_FLOAT": Fleet._named_value,
     "PARAM_VALUE": Fleet._param_value,
     "COMMAND_ACK": Fleet._command_ack,
     "STATUSTEXT": Fleet._statustext,

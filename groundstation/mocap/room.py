@@ -83,7 +83,7 @@ class Room:
         self.counts: Counter[str] = Counter()
         self.gone = False
         self._clock = FrameClock()
-        self._held = False
+        self._held = self._late = False
         self._name: IntArray = np.arange(n, dtype=np.int64)  # by whose name each vehicle's body goes
         self._raw: FloatArray = np.full((n, 7), np.nan)
         self._changed_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
@@ -128,7 +128,8 @@ class Room:
         body = np.array([body_of[vehicle] for vehicle in row.tolist()], dtype=np.int64)
         self._move(row, frame.pos_ned_m[body], measured_ns)
         self.quat_ned_from_frd[row] = frame.quat_ned_from_frd[body]
-        for vehicle in row[self._unseen[row]].tolist():
+        fresh = frame.t_rx_ns - measured_ns <= UNSEEN_NS
+        for vehicle in row[self._unseen[row] & fresh].tolist():
             self._unseen[vehicle] = False
             self._news.append(f"vehicle {self.config.ids[vehicle]}: the motion capture sees it again")
         return Seen(
@@ -147,7 +148,14 @@ class Room:
         elif self.gone and not gone:
             self._news.append("motion capture: frames come again")
         self.gone = gone
-        if not self._held or now_ns - self._frame_ns > UNSEEN_NS:  # then it is not the bodies
+        late = not gone and self._clock.lateness_ns > UNSEEN_NS
+        if late and not self._late:
+            self._news.append(
+                f"motion capture: its frames come {self._clock.lateness_ns / SECOND_NS:.1f} s late; see to the network"
+                " between, and to the load of both computers"
+            )
+        self._late = late
+        if late or not self._held or now_ns - self._frame_ns > UNSEEN_NS:  # then it is not the bodies
             return
         unseen = (self.measured_ns != NEVER) & (now_ns - self.measured_ns > UNSEEN_NS)
         for vehicle in (unseen & ~self._unseen).nonzero()[0].tolist():

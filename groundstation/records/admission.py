@@ -14,6 +14,7 @@ import numpy as np
 
 from groundstation.core.quick import norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.addresses import mavlink_url
 from groundstation.mavlink.codec import Batch, columns
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
 from groundstation.mocap.bodies import RoomConfig, room_config
@@ -266,7 +267,10 @@ def of_mission(mission: Values) -> Admission:
         mission: with ``vehicles``, each with a usable ``id``.
     """
     vehicles = mission.get("vehicles") or ()
-    urls = [vehicle["link"] if isinstance(vehicle.get("link"), str) else None for vehicle in vehicles]
+    gateway = mission.get("gateway")
+    behind = gateway.get("link") if isinstance(gateway, Mapping) else None
+    given = [vehicle["link"] if isinstance(vehicle.get("link"), str) else None for vehicle in vehicles]
+    urls = [None if url is None else mavlink_url(url, behind) for url in given]
     numbers = {url: number for number, url in enumerate(dict.fromkeys(urls))}
     signing = mission.get("signing")
     own = signing.get("links") if isinstance(signing, Mapping) else None

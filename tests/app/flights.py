@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from groundstation.app.emulator import TruthMeter, world_config
+from groundstation.app.gateway.emulated import GatewayWorld, RadioConfig
 from groundstation.app.loop import Interrupts, fly_virtual
 from groundstation.app.mocap.emulated import emulated_team
 from groundstation.app.mocap.fake import FakeConfig
@@ -57,6 +58,7 @@ class Flight:
         take_over: bool = False,
         chatter: bool = False,
         room: FakeConfig | None = None,
+        radio: RadioConfig | None = None,
     ) -> None:
         self.plan = plan
         self.take_over = take_over
@@ -65,7 +67,7 @@ class Flight:
         self.world = world or World(config if change is None else change(config), seed)
         if prepare is not None:
             prepare(self.world)
-        self._gateway = emulated_team(plan, self.world, seed, room)
+        self._gateway = emulated_team(plan, self.world, seed, room, radio)
         self.notes: list[Note] = []
         self.now_ns = 0
         self.phase_seen: list[Phase] = []
@@ -107,6 +109,11 @@ class Flight:
     def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
         """What the ground station sends, untouched."""
         self._gateway.receive(vehicle_index, data, now_ns + self._begin_ns)
+
+    @property
+    def gateway(self) -> GatewayWorld:
+        """What Crazyflies stand behind."""
+        return self._gateway if isinstance(self._gateway, GatewayWorld) else self._gateway.team
 
     def texts(self, kind: str) -> list[str]:
         """What was noted, of one kind."""

@@ -39,7 +39,7 @@ def test_a_pad_for_an_origin_is_refused() -> None:
 
 
 def test_with_a_positioning_deck_they_need_no_motion_capture() -> None:
-    flight = Flight(mission("lab_cube8", "positioning=mocap"), chatter=True)
+    flight = Flight(mission("lab_pair2", "positioning=mocap"), chatter=True)
     assert str(flight.runner.outcome) == "completed", flight.runner.reason
     assert flight.runner.fleet.room is None
 

@@ -119,7 +119,8 @@ class Witness:
         if _KILLED_ALL in text:
             rows |= set(range(self._plan.size))
         for url in _LINK.findall(text):
-            rows |= {row for row, vehicle in enumerate(self._plan.spec.vehicles) if vehicle.link == url}
+            behind = self._plan.link_of_vehicle
+            rows |= {row for row, link in enumerate(behind) if self._plan.links[link] == url}
         self._words.append(_Word(t_ns, text, frozenset(rows), any(words in text for words in _WHOLE_TEAM)))
         if anew:
             self._judge_now(t_ns, text)

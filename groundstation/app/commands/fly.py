@@ -69,6 +69,7 @@ def fly(
         tell_flight,
         with_options,
     )
+    from groundstation.app.gateway.process import budget_of
     from groundstation.app.resources import find_config
     from groundstation.mission.plan.advice import advice
     from groundstation.mission.plan.reading import load_mission
@@ -94,6 +95,8 @@ def fly(
         check_method(plan)  # before anything is written
     for line in advice(plan):
         out.console.print(Text(line, style="bold yellow"))
+    for line in budget_of(plan):
+        out.console.print(Text(line))
     timetable = read_faults(faults, plan)
     log_path, replaced = log_path_of(plan, log, timetable, dry_run=dry_run, seed=seed, force=force)
     if replaced:
@@ -131,6 +134,7 @@ def check(
     from groundstation.app.check_screen import rows_as_values, show_rows
     from groundstation.app.fence_giving import give_fence
     from groundstation.app.flying import dated_path, judged, period_ns, refusal, refused_frames, with_options
+    from groundstation.app.gateway.process import serving
     from groundstation.app.loop import FlightClock, Interrupts, fly_real
     from groundstation.app.mocap.process import reading
     from groundstation.app.opening import open_flight
@@ -151,6 +155,7 @@ def check(
     with ExitStack() as stack:
         purpose = Purpose.PREPARE if fix else Purpose.LOOK
         stack.enter_context(reading(plan))
+        keepers = stack.enter_context(serving(plan))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
         display = stack.enter_context(FlightDisplay(out.console, plan, flight.links))
         stack.enter_context(interrupts.listening())
@@ -161,6 +166,7 @@ def check(
             period_ns=period_ns(plan),
             watchers=(display, keeper),
             interrupts=interrupts,
+            controls=keepers,
         )
         troubles = link_troubles(flight.links)
     runner, gate = flight.session.runner, flight.gate

@@ -36,11 +36,14 @@ def gateway(
     pose_hz: Annotated[
         float, typer.Option(help="Poses a second that another program sends to each by these radios.", min=0, max=200)
     ] = 0.0,
-    broadcast: Annotated[bool, typer.Option("--broadcast", help="Those poses are packed, four to a packet.")] = False,
+    broadcast: Annotated[
+        bool, typer.Option("--broadcast", help="Those poses are packed, two to a packet, for all behind one radio.")
+    ] = False,
     radio_packets: Annotated[
         float | None, typer.Option(help="Packets a second that one radio makes, where it was measured.", min=10)
     ] = None,
     cache: Annotated[Path, typer.Option(help="Folder for the vehicles' tables.")] = Path(".crazyflie_cache"),
+    kept_since: Annotated[int | None, typer.Option(hidden=True, help="Started and told by a flight, then.")] = None,
     budget: Annotated[bool, typer.Option("--budget", help="Only print the radios' budget.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -53,11 +56,12 @@ def gateway(
     console = Output(as_json=as_json)
     radios, slowest = radios_of(uris, radio_packets)
     rates = Rates(setpoint_hz, log_hz, pose_hz, broadcast)
-    lines = table(len(uris), rates, slowest) if budget or radios else []
+    lines = table(len(uris), rates, slowest) if kept_since is None and (budget or radios) else []
     for line in lines:
         console.console.print(Text(line))
     for line in check(radios, rates):
-        console.console.print(Text(line))
+        if kept_since is None:  # the flight has said it
+            console.console.print(Text(line))
     if budget:
         console.result({"vehicles": len(uris), "radios": len(radios), "budget": lines})
         return
@@ -68,8 +72,11 @@ def gateway(
         console.console.print(Text(line))
         sys.stdout.flush()
 
-    say(f"{len(uris)} Crazyflies to {out}: {', '.join(map(str, uris))}. Ctrl-C lands whoever flies, and ends.")
-    console.result({**serve(uris, out, cache=cache, pose_hz=log_hz, say=say)})
+    if kept_since is None:
+        say(f"{len(uris)} Crazyflies to {out}: {', '.join(map(str, uris))}. Ctrl-C lands whoever flies, and ends.")
+    counts = serve(uris, out, cache=cache, pose_hz=log_hz, say=say, broadcast=broadcast, kept_since_ns=kept_since)
+    if kept_since is None:
+        console.result({**counts})
 
 
 def read_vehicles(words: list[str]) -> dict[int, str]:
@@ -96,7 +103,8 @@ def read_vehicles(words: list[str]) -> dict[int, str]:
 
 def radios_of(uris: dict[int, str], packets_s: float | None) -> tuple[dict[str, tuple[int, float]], float]:
     """Vehicles and packets a second of each radio, and of the slowest one."""
-    from groundstation.gateway.budget import capacity, radio_of
+    from groundstation.gateway.budget import capacity
+    from groundstation.mavlink.addresses import radio_of
 
     found = [radio for uri in uris.values() if (radio := radio_of(uri)) is not None]
     count = Counter(number for number, _ in found)

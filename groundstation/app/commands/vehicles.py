@@ -10,7 +10,7 @@ import typer
 
 from groundstation.app.options import JsonOption
 from groundstation.app.output import Output
-from groundstation.core.errors import MissionFailed
+from groundstation.core.errors import MissionFailed, UserError
 
 if TYPE_CHECKING:
     from groundstation.mavlink.station import Outgoing
@@ -20,7 +20,8 @@ _DEFAULT = ["udpin://0.0.0.0:14540"]
 
 def vehicles(
     urls: Annotated[
-        list[str] | None, typer.Argument(help="Links to look at; udpin://0.0.0.0:14540 by default.")
+        list[str] | None,
+        typer.Argument(help="Links to look at; udpin://0.0.0.0:14540 by default. For Crazyflies radio://, or udp://."),
     ] = None,
     *,
     key: Annotated[
@@ -38,10 +39,19 @@ def vehicles(
     from groundstation.app.loop import FlightClock, Interrupts, talk
     from groundstation.app.signing import gate_of
     from groundstation.links.opening import open_link
-    from groundstation.mavlink.addresses import parse_address
+    from groundstation.mavlink.addresses import is_crtp, parse_address
 
     out = Output(as_json=as_json)
-    addresses = [parse_address(url) for url in dict.fromkeys(urls or _DEFAULT)]
+    given = list(dict.fromkeys(urls or _DEFAULT))
+    crazyflies = [url for url in given if is_crtp(url)]
+    if crazyflies:
+        if len(crazyflies) < len(given):
+            raise UserError(
+                "gs vehicles: radio:// and udp:// are asked by cflib, other links by MAVLink; one at a time"
+            )
+        _find_crazyflies(out, crazyflies)
+        return
+    addresses = [parse_address(url) for url in given]
     discovery = Discovery(addresses)
     interrupts = Interrupts()
     with ExitStack() as stack:
@@ -100,3 +110,25 @@ def vehicles(
     )
     if failures:
         raise MissionFailed("; ".join(failures))
+
+
+def _find_crazyflies(out: Output, wishes: list[str]) -> None:
+    """Asks by cflib who is there, and prints a block for a mission file.
+
+    Raises:
+        MissionFailed: nobody answers.
+    """
+    from groundstation.app.gateway.finding import block, found, radio_scan
+    from groundstation.core.extras import need
+
+    if any(wish.startswith("radio://") for wish in wishes):
+        need("crazyflie", "gs vehicles radio://")
+    uris = found(wishes, radio_scan)
+    words = block(uris) if uris else ""
+    if words:
+        out.console.print(words, markup=False, highlight=False, soft_wrap=True)
+    failed = f"no Crazyflie answers at {', '.join(wishes)}; is it switched on, and its address right?"
+    failure = {} if uris else {"error": failed, "exit_code": MissionFailed.exit_code}
+    out.result({"vehicles": [{"link": uri} for uri in uris], "problems": [], "block": words, **failure})
+    if not uris:
+        raise MissionFailed(failed)

@@ -88,6 +88,8 @@ class Recorded:
             pose_age_s=np.array([_age_s(track, t_ns) for track in flight.vehicles]),
             silent_s=unknown,
             lost_share=unknown,
+            link_heard=unknown,
+            link_trip_s=unknown,
             extra_radius_m=np.zeros(n),
             pads_enu_m=self._pads_m,
             goal_enu_m=goal_m,

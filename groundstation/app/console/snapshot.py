@@ -41,6 +41,8 @@ _WIDTHS = {
     "pose_age_s": 0,
     "silent_s": 0,
     "lost_share": 0,
+    "link_heard": 0,
+    "link_trip_s": 0,
     "extra_radius_m": 0,
     "pads_enu_m": 3,
     "goal_enu_m": 3,
@@ -98,6 +100,8 @@ class Snapshot:
         pose_age_s: shape (n,).
         silent_s: since when nothing was heard, shape (n,).
         lost_share: of its frames in the last second, 0 to 1, shape (n,).
+        link_heard: share of what its radio sends that comes, by its gateway, 0 to 1, shape (n,).
+        link_trip_s: there and back by that radio, shape (n,).
         extra_radius_m: what is added to r around whom nobody steers, shape (n,).
         pads_enu_m: shape (n, 3).
         goal_enu_m: the point of each one's role, at the formation's present size, anywhere, shape (n, 3).
@@ -122,6 +126,8 @@ class Snapshot:
     pose_age_s: FloatArray
     silent_s: FloatArray
     lost_share: FloatArray
+    link_heard: FloatArray
+    link_trip_s: FloatArray
     extra_radius_m: FloatArray
     pads_enu_m: FloatArray
     goal_enu_m: FloatArray

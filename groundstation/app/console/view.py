@@ -26,6 +26,7 @@ COLUMNS = (
     "pose age",
     "silent",
     "lost",
+    "radio",
     "setpoint",
     "avoidance",
     "state",
@@ -72,6 +73,7 @@ def rows_of(snapshot: Snapshot) -> list[dict[str, str | int]]:
                 "pose age": number(snapshot.pose_age_s[row], " s", 2),
                 "silent": number(snapshot.silent_s[row], " s", 1),
                 "lost": number(snapshot.lost_share[row] * 100.0, "%", 0),
+                "radio": _radio(float(snapshot.link_heard[row]), float(snapshot.link_trip_s[row])),
                 "setpoint": number(speed_m_s, " m/s", 2),
                 "avoidance": "no way" if bits & BLOCKED else "makes way" if bits & AVOIDS else "-",
                 "state": next((name for bit, name in words if bits & bit), "on the ground"),
@@ -79,6 +81,12 @@ def rows_of(snapshot: Snapshot) -> list[dict[str, str | int]]:
             }
         )
     return rows
+
+
+def _radio(heard: float, trip_s: float) -> str:
+    """Share of what a radio brings, and how long it takes there and back."""
+    known = [number(heard * 100.0, "%", 0), number(trip_s * 1000.0, " ms", 0)]
+    return ", ".join(words for words in known if words != "-") or "-"
 
 
 def number(value: float, unit: str, digits: int) -> str:

@@ -212,6 +212,8 @@ class Viewers:
             pose_age_s=_age_s(now_ns - look.pose_ns),
             silent_s=_age_s(now_ns - fleet.heard_ns),
             lost_share=self._lost_share,
+            link_heard=fleet.link_heard,
+            link_trip_s=fleet.link_trip_s,
             extra_radius_m=look.poses.extra_radius_m,
             pads_enu_m=plan.pads_enu_m,
             goal_enu_m=look.formation.points_enu_m[role],

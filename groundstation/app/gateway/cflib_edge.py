@@ -1,14 +1,13 @@
 """Crazyflies by cflib: its threads put what they hear into an inbox, a thread for each vehicle sends what it is told.
 
-A radio takes one packet at a time and may make whoever sends wait: so no vehicle's sending holds up another's, and of
-velocities and poses only the newest waits. Refuses to decide anything. Of cflib's ``close_link`` it makes no use in the
+A radio takes one packet at a time and may make whoever sends wait: so no vehicle's sending holds up another's, and what
+waits meanwhile is in an outbox of its own. Refuses to decide anything. Of cflib's ``close_link`` it makes no use in the
 air: that sends a setpoint with which motors stop.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import os
 import struct
 import threading
@@ -22,28 +21,18 @@ from pathlib import Path
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
+from cflib.crtp.crtpstack import CRTPPacket
 
 from groundstation.gateway.measured import POSE_VARIABLES, STATUS_MS, STATUS_VARIABLES
-from groundstation.gateway.orders import (
-    VALID_MS,
-    Arm,
-    EmergencyStop,
-    ExternalPose,
-    GoTo,
-    HighLevelStop,
-    LandAt,
-    Order,
-    SetParam,
-    SetpointsStop,
-    TakeOff,
-    Velocity,
-)
+from groundstation.gateway.orders import LogRate, Order, SetParam
+from groundstation.gateway.outbox import Outbox
+from groundstation.gateway.packets import LINK, echo_number, packet_of
 
 _KINDS = {
     "uint8_t": 1, "int8_t": 2, "uint16_t": 3, "int16_t": 4, "uint32_t": 5, "int32_t": 6, "float": 9, "FP16": 9,
     "double": 9, "uint64_t": 9, "int64_t": 9,
 }  # fmt: skip
-_OLD_S = 0.5
+_FIRST_TIMES = 3  # what a vehicle in the air is told first, on a link that is just beginning
 logging.getLogger("cflib.crazyflie").setLevel(
     logging.ERROR
 )  # links that fail are told in our words, without tracebacks
@@ -55,9 +44,9 @@ class Heard:
 
     Attributes:
         vehicle: number of the vehicle.
-        kind: log, param, connected, lost.
+        kind: log, param, echo, connected, lost.
         values: log variables by full name; of a parameter, its one value.
-        stamp_ms: of a log packet.
+        stamp_ms: of a log packet; of an echo its number.
         protocol: version of CRTP, when connected.
         params: full name: value, MAV_PARAM_TYPE, when connected.
         words: why it is lost.
@@ -119,32 +108,24 @@ class CflibVehicle:
         self._number, self._inbox, self._cache = number, inbox, cache
         self._period_ms = 10 * max(1, round(100.0 / pose_hz))
         self._cf: Crazyflie | None = None
-        self._orders: deque[tuple[float, Order]] = deque()
-        self._velocity: tuple[float, Velocity] | None = None
-        self._pose: tuple[float, ExternalPose] | None = None
+        self._poses: LogConfig | None = None
+        self._outbox = Outbox()
         self._news = threading.Condition()
         self._ends = False
         threading.Thread(target=self._send_all, name=f"sends to {uri}", daemon=True).start()
 
-    def connect(self) -> None:
-        """Begins to connect; how that ends comes by the inbox."""
-        threading.Thread(target=self._open, name=f"connects {self.uri}", daemon=True).start()
+    def connect(self, first: Sequence[Order] = ()) -> None:
+        """Begins to connect; how that ends comes by the inbox.
+
+        Args:
+            first: what the vehicle is told as soon as its link is open, before the connection is complete.
+        """
+        threading.Thread(target=self._open, args=(tuple(first),), name=f"connects {self.uri}", daemon=True).start()
 
     def obey(self, order: Order) -> None:
         """Takes an order, in their sequence; a velocity that waits is replaced by a newer one."""
-        now_s = time.monotonic()
         with self._news:
-            if isinstance(order, Velocity):
-                self._velocity = now_s, order
-            elif isinstance(order, ExternalPose):
-                self._pose = now_s, order
-            elif isinstance(order, EmergencyStop):
-                self._velocity = None
-                self._orders.appendleft((now_s, order))
-            else:
-                if isinstance(order, SetpointsStop):
-                    self._velocity = None  # it would outrank what follows
-                self._orders.append((now_s, order))
+            self._outbox.put(order, time.monotonic_ns())
             self._news.notify()
 
     def close(self, *, flies: bool) -> None:
@@ -161,7 +142,7 @@ class CflibVehicle:
             elif cf.link is not None:
                 cf.link.close()
 
-    def _open(self) -> None:
+    def _open(self, first: Sequence[Order]) -> None:
         old, self._cf = self._cf, None
         if old is not None and old.link is not None:
             with suppress(Exception):
@@ -171,8 +152,17 @@ class CflibVehicle:
         cf.fully_connected.add_callback(lambda _uri: self._ready(cf))
         for ended in (cf.connection_failed, cf.connection_lost):
             ended.add_callback(lambda _uri, words: self._lost(cf, str(words)))
+        cf.add_port_callback(LINK, self._echoed)
         self._cf = cf
         cf.open_link(self.uri)
+        for order in tuple(first) * _FIRST_TIMES:
+            with suppress(Exception):  # cflib raises whatever its drivers raise, and tells of it by its callbacks
+                send(cf, order)
+
+    def _echoed(self, packet: CRTPPacket) -> None:
+        number = echo_number(bytes(packet.data)) if packet.channel == 0 else None
+        if number is not None:
+            self._inbox.put(Heard(self._number, "echo", stamp_ms=number))
 
     def _log(self, cf: Crazyflie) -> None:
         for name, period_ms, variables in (
@@ -188,6 +178,8 @@ class CflibVehicle:
             cf.log.add_config(block)
             block.data_received_cb.add_callback(self._logged)
             block.start()
+            if name == "pose":
+                self._poses = block
 
     def _logged(self, stamp_ms: int, values: dict[str, float], _block: object) -> None:
         self._inbox.put(Heard(self._number, "log", values=values, stamp_ms=stamp_ms))
@@ -199,6 +191,7 @@ class CflibVehicle:
                 params[f"{group}.{name}"] = (float(cf.param.values[group][name]), _KINDS.get(element.ctype, 9))
         self._inbox.put(Heard(self._number, "connected", protocol=cf.platform.get_protocol_version(), params=params))
         cf.param.add_update_callback(cb=self._param)
+        cf.link_statistics.stop()  # its ten echoes a second are not in the budget; ours are
 
     def _param(self, name: str, value: str) -> None:
         self._inbox.put(Heard(self._number, "param", values={name: float(value)}))
@@ -210,55 +203,38 @@ class CflibVehicle:
     def _send_all(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._ends or self._orders or self._velocity or self._pose)
+                self._news.wait_for(lambda: self._ends or self._outbox)
                 if self._ends:
                     return
-                if self._orders:
-                    asked_s, order = self._orders.popleft()
-                elif self._velocity is not None:
-                    asked_s, order = self._velocity
-                    self._velocity = None
-                else:
-                    assert self._pose is not None  # noqa: S101 - by the condition
-                    asked_s, order = self._pose
-                    self._pose = None
+                order = self._outbox.take(time.monotonic_ns())
             cf = self._cf
-            moves = isinstance(order, Velocity | ExternalPose | TakeOff | GoTo)
-            if cf is None or (moves and time.monotonic() - asked_s > _OLD_S):
-                continue  # somebody may have gone near in the meantime
+            if cf is None or order is None:
+                continue
             try:
-                send(cf, order)
+                if isinstance(order, LogRate):
+                    self._log_at(order.hz)
+                else:
+                    send(cf, order)
             except Exception as error:  # cflib raises whatever its drivers raise; the others fly on
                 self._lost(cf, f"{type(error).__name__}: {error}")
 
+    def _log_at(self, hz: float) -> None:
+        """Lets it log its poses at another rate."""
+        block = self._poses
+        if block is not None:
+            block.period = max(1, round(100.0 / hz))
+            block.start()
+
 
 def send(cf: Crazyflie, order: Order) -> None:
-    """Sends one order by cflib's own words."""
-    high = cf.high_level_commander
-    match order:
-        case Velocity((x, y, z), rate):
-            cf.commander.send_velocity_world_setpoint(x, y, z, math.degrees(rate))
-        case SetpointsStop():
-            cf.commander.send_notify_setpoint_stop(VALID_MS)
-        case TakeOff(height_m, duration_s):
-            high.takeoff(height_m, duration_s, yaw=None)
-        case LandAt(height_m, duration_s):
-            high.land(height_m, duration_s, yaw=None)
-        case GoTo((x, y, z), relative, yaw, duration_s):
-            high.go_to(x, y, z, 0.0 if relative else yaw, duration_s, relative=relative)
-        case HighLevelStop():
-            high.stop()
-        case Arm(arm):
-            cf.supervisor.send_arming_request(arm)
-        case ExternalPose((x, y, z), None):
-            cf.extpos.send_extpos(x, y, z)
-        case ExternalPose((x, y, z), (qx, qy, qz, qw)):
-            cf.extpos.send_extpose(x, y, z, qx, qy, qz, qw)
-        case EmergencyStop():
-            cf.supervisor.send_emergency_stop()
-        case SetParam(name, value):
-            with suppress(KeyError, AttributeError, struct.error, OverflowError, ValueError):
-                cf.param.set_value(name, value)
+    """Sends one order: parameters by cflib's table of them, all others as packets that need none."""
+    if isinstance(order, SetParam):
+        with suppress(KeyError, AttributeError, struct.error, OverflowError, ValueError):
+            cf.param.set_value(order.name, order.value)
+        return
+    data = packet_of(order, {})
+    if data is not None:
+        cf.send_packet(CRTPPacket(data[0], data[1:]))
 
 
 def start_drivers() -> None:

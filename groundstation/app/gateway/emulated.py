@@ -7,40 +7,40 @@ numbers of log variables and parameters it takes from the emulator's own tables,
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
 
 from groundstation.gateway.bridge import Bridge
+from groundstation.gateway.handover import Handover
 from groundstation.gateway.measured import POSE_VARIABLES, STATUS_MS, STATUS_VARIABLES
 from groundstation.gateway.names import short_names
-from groundstation.gateway.orders import (
-    VALID_MS,
-    Arm,
-    EmergencyStop,
-    ExternalPose,
-    GoTo,
-    HighLevelStop,
-    LandAt,
-    Order,
-    SetParam,
-    SetpointsStop,
-    TakeOff,
-    Velocity,
+from groundstation.gateway.orders import LogRate
+from groundstation.gateway.outbox import Outbox
+from groundstation.gateway.packets import (
+    LINK,
+    LOG,
+    PARAM,
+    SHAPE_OF_KIND,
+    echo_number,
+    packed_poses,
+    packet,
+    packet_of,
 )
 from sitl.params import ParamSet
+from sitl.personalities.crazyflie.radio import SharedRadio
 from sitl.personalities.crazyflie.variables import SHAPES, VARIABLES
 from sitl.world import Outgoing, World
 
 BEHIND_A_GATEWAY = frozenset({"crazyflie"})
 """Personalities that speak no MAVLink."""
-_PARAM, _LOG, _LOCALISATION, _GENERIC, _HIGH_LEVEL, _SUPERVISOR = 2, 5, 6, 7, 8, 9
-_POSE = 8
-_VELOCITY, _STOP, _TAKE_OFF, _LAND, _GO_TO = 8, 3, 7, 8, 12
 _LOG_RESET, _LOG_CREATE, _LOG_START = 5, 6, 3
 _POSE_BLOCK, _STATUS_BLOCK = 0, 1
 _SLICE_NS = 20_000_000
 _ASK_AGAIN_NS = 1_000_000_000
 _PROTOCOL = 12
-_SHAPE_OF_KIND = {1: "<B", 2: "<b", 3: "<H", 5: "<I", 9: "<f"}  # MAV_PARAM_TYPE
 _NAMES = list(VARIABLES)
 
 
@@ -50,57 +50,29 @@ def own_params(settings: Mapping[str, float], params: ParamSet) -> tuple[tuple[s
     return tuple((full[name], value) for name, value in settings.items() if name in full)
 
 
-def packet(port: int, channel: int, data: bytes) -> bytes:
-    """One CRTP packet."""
-    return bytes((port << 4 | 0xC | channel,)) + data
+@dataclass(frozen=True)
+class RadioConfig:
+    """Radios of an emulated gateway.
 
-
-def packet_of(order: Order, numbers: Mapping[str, tuple[int, int]]) -> bytes | None:
-    """An order as a packet; None for a parameter that there is not, or a value that it does not hold.
-
-    Args:
-        order: to be sent.
-        numbers: of parameters: full name: number and MAV_PARAM_TYPE.
+    Attributes:
+        of: number of the radio of each vehicle, by the vehicle's number.
+        packets_s: transactions a second that one makes.
+        broadcast: poses from outside go to several vehicles in one packet.
+        seed: of losses.
     """
-    match order:
-        case Velocity((x, y, z), rate):
-            return packet(_GENERIC, 0, struct.pack("<Bffff", _VELOCITY, x, y, z, rate * 57.29577951308232))
-        case SetpointsStop():
-            return packet(_GENERIC, 1, struct.pack("<BI", 0, VALID_MS))
-        case TakeOff(height_m, duration_s):
-            return packet(_HIGH_LEVEL, 0, struct.pack("<BBff?f", _TAKE_OFF, 0, height_m, 0.0, True, duration_s))
-        case LandAt(height_m, duration_s):
-            return packet(_HIGH_LEVEL, 0, struct.pack("<BBff?f", _LAND, 0, height_m, 0.0, True, duration_s))
-        case GoTo((x, y, z), relative, yaw, duration_s):
-            turn = 0.0 if relative else yaw
-            head = struct.pack("<BB??", _GO_TO, 0, relative, False)
-            return packet(_HIGH_LEVEL, 0, head + struct.pack("<fffff", x, y, z, turn, duration_s))
-        case HighLevelStop():
-            return packet(_HIGH_LEVEL, 0, struct.pack("<BB", _STOP, 0))
-        case Arm(arm):
-            return packet(_SUPERVISOR, 1, struct.pack("<B?", 1, arm))
-        case EmergencyStop():
-            return packet(_SUPERVISOR, 1, b"\x03")
-        case ExternalPose(place, quat):
-            if quat is None:
-                return packet(_LOCALISATION, 0, struct.pack("<fff", *place))
-            return packet(_LOCALISATION, 1, struct.pack("<Bfffffff", _POSE, *place, *quat))
-        case SetParam(name, value):
-            if name not in numbers:
-                return None
-            number, kind = numbers[name]
-            try:
-                held = value if kind == 9 else round(value)
-                return packet(_PARAM, 2, struct.pack("<H", number) + struct.pack(_SHAPE_OF_KIND[kind], held))
-            except (struct.error, ValueError, OverflowError):
-                return None
+
+    of: Mapping[int, int]
+    packets_s: float = 919.0
+    broadcast: bool = False
+    seed: int = 0
 
 
 class _Client:
     """One emulated vehicle and its bridge."""
 
-    def __init__(self, sysid: int, params: ParamSet, pose_hz: float) -> None:
-        self.bridge = Bridge(sysid, 0)
+    def __init__(self, sysid: int, params: ParamSet, pose_hz: float, now_ns: int = 0) -> None:
+        self.bridge = Bridge(sysid, now_ns, pose_hz, boot_ns=0)
+        self.outbox = Outbox()
         rows = [params.at(k) for k in range(len(params))]
         self._numbers = {name: (k, kind) for k, (name, _, kind) in enumerate(rows)}
         self._by_number = [(name, kind) for name, _, kind in rows]
@@ -108,46 +80,49 @@ class _Client:
         self._period = max(1, round(100.0 / pose_hz))
         self._heard_ns = self._asked_ns = -_ASK_AGAIN_NS
         self._connected = False
+        self._questions: deque[bytes] = deque()
 
-    def greetings(self, now_ns: int) -> list[bytes]:
-        """Packets that make it log, and tell its parameters; asked for again as long as it is silent."""
+    def greet(self, now_ns: int) -> None:
+        """Makes it log, and tell its parameters; asked for again as long as it is silent."""
         if now_ns - max(self._heard_ns, self._asked_ns) < _ASK_AGAIN_NS:
-            return []
+            return
         self._asked_ns = now_ns
-        wanted = [packet(_LOG, 1, bytes((_LOG_RESET,)))]
+        wanted = [packet(LOG, 1, bytes((_LOG_RESET,)))]
         for block, period, names in (
             (_POSE_BLOCK, self._period, POSE_VARIABLES),
             (_STATUS_BLOCK, STATUS_MS // 10, STATUS_VARIABLES),
         ):
             entries = b"".join(struct.pack("<BH", VARIABLES[name][0], _NAMES.index(name)) for name in names)
             head, rest = entries[:24], entries[24:]
-            wanted.append(packet(_LOG, 1, bytes((_LOG_CREATE, block)) + head))
+            wanted.append(packet(LOG, 1, bytes((_LOG_CREATE, block)) + head))
             if rest:
-                wanted.append(packet(_LOG, 1, bytes((_LOG_CREATE + 1, block)) + rest))
-            wanted.append(packet(_LOG, 1, bytes((_LOG_START, block, period))))
+                wanted.append(packet(LOG, 1, bytes((_LOG_CREATE + 1, block)) + rest))
+            wanted.append(packet(LOG, 1, bytes((_LOG_START, block, period))))
         if not self._connected:
-            wanted += [packet(_PARAM, 1, struct.pack("<H", k)) for k in range(len(self._by_number))]
-        return wanted
+            wanted += [packet(PARAM, 1, struct.pack("<H", k)) for k in range(len(self._by_number))]
+        self._questions = deque(wanted)
 
     def take(self, data: bytes, now_ns: int) -> None:
         """Takes a packet of the vehicle."""
         port, channel, rest = data[0] >> 4, data[0] & 3, data[1:]
-        if port == _LOG and channel == 2 and len(rest) >= 4:
+        if port == LOG and channel == 2 and len(rest) >= 4:
             names = POSE_VARIABLES if rest[0] == _POSE_BLOCK else STATUS_VARIABLES
             shape = "<" + "".join(SHAPES[VARIABLES[name][0]] for name in names)
             if len(rest) - 4 == struct.calcsize(shape):
                 values = dict(zip(names, struct.unpack_from(shape, rest, 4), strict=True))
                 self._heard_ns = now_ns
                 self.bridge.logged(values, int.from_bytes(rest[1:4], "little"), now_ns)
-        elif port == _PARAM and channel in (1, 2) and len(rest) > 2:
+        elif port == PARAM and channel in (1, 2) and len(rest) > 2:
             self._param(rest, skip=3 if channel == 1 else 2)
+        elif port == LINK and (number := echo_number(rest)) is not None:
+            self.bridge.echoed(number, now_ns)
 
     def _param(self, rest: bytes, skip: int) -> None:
         number = int.from_bytes(rest[:2], "little")
         if number >= len(self._by_number):
             return
         name, kind = self._by_number[number]
-        shape = _SHAPE_OF_KIND[kind]
+        shape = SHAPE_OF_KIND[kind]
         if len(rest) - skip != struct.calcsize(shape):
             return
         value = float(struct.unpack_from(shape, rest, skip)[0])
@@ -158,10 +133,20 @@ class _Client:
             self._connected = True
             self.bridge.connected(_PROTOCOL, self._values)
 
-    def packets(self) -> list[bytes]:
-        """Orders that wait, as packets."""
-        made = (packet_of(order, self._numbers) for order in self.bridge.take_orders())
-        return [data for data in made if data is not None]
+    def collect(self, now_ns: int) -> None:
+        """Takes the bridge's orders."""
+        for order in self.bridge.take_orders():
+            self.outbox.put(order, now_ns)
+
+    def next(self, now_ns: int) -> bytes | None:
+        """The next packet to the vehicle: orders before questions."""
+        while (order := self.outbox.take(now_ns)) is not None:
+            if isinstance(order, LogRate):
+                return packet(LOG, 1, bytes((_LOG_START, _POSE_BLOCK, max(1, round(100.0 / order.hz)))))
+            data = packet_of(order, self._numbers)
+            if data is not None:
+                return data
+        return self._questions.popleft() if self._questions else None
 
 
 class GatewayWorld:
@@ -170,21 +155,58 @@ class GatewayWorld:
     Args:
         world: the emulator.
         pose_hz: poses a second that are logged.
+        radio: how they are reached; None for links that carry everything at once.
+
+    Attributes:
+        radios: by number.
     """
 
-    def __init__(self, world: World, pose_hz: float = 50.0) -> None:
-        self._world = world
+    def __init__(self, world: World, pose_hz: float = 50.0, radio: RadioConfig | None = None) -> None:
+        self._world, self._pose_hz = world, pose_hz
+        self._broadcast = radio is not None and radio.broadcast
         self._clients = {
-            number: _Client(vehicle.sysid, world.autopilots[number].params, pose_hz)
+            number: self._client(number, 0)
             for number, vehicle in enumerate(world.config.vehicles)
             if vehicle.autopilot in BEHIND_A_GATEWAY
         }
         self._now_ns = world.now_ns
+        self._dead = False
+        self.radios: dict[int, SharedRadio] = {}
+        if radio is not None:
+            for number in sorted(set(radio.of.values())):
+                served = [vehicle for vehicle in self._clients if radio.of[vehicle] == number]
+                rng = np.random.default_rng((radio.seed, number, 0x7261))
+                self.radios[number] = SharedRadio(served, radio.packets_s, rng)
+        self._radio_of = {vehicle: item for item in self.radios.values() for vehicle in item.vehicles}
+
+    def _client(self, number: int, now_ns: int) -> _Client:
+        sysid = self._world.config.vehicles[number].sysid
+        return _Client(sysid, self._world.autopilots[number].params, self._pose_hz, now_ns)
 
     @property
     def bridges(self) -> dict[int, Bridge]:
         """By number of the vehicle."""
         return {number: client.bridge for number, client in self._clients.items()}
+
+    def kill(self) -> None:
+        """The gateway dies: what it knew is gone, nothing is sent any more either way."""
+        self._dead = True
+        for item in self.radios.values():
+            item.forget()
+
+    def begin_anew(self, handover: Mapping[int, Handover]) -> None:
+        """Another gateway begins.
+
+        Args:
+            handover: what it is told of each vehicle, by system id; those that fly are told to stay.
+        """
+        self._dead = False
+        self._clients = {number: self._client(number, self._now_ns) for number in self._clients}
+        for client in self._clients.values():
+            told = handover.get(client.bridge.sysid, Handover())
+            if told.flies:
+                client.bridge.resume(told.home_enu_m, told.settings, self._now_ns)
+        self._send_all()
 
     def advance(self, now_ns: int) -> list[Outgoing]:
         """Moves everything to a time; returns what reached the ground station on the way, as MAVLink."""
@@ -193,17 +215,21 @@ class GatewayWorld:
         told: list[Outgoing] = []
         while self._now_ns < now_ns:
             self._now_ns = min(self._now_ns + _SLICE_NS, now_ns)
+            told += self._carried()
             for item in self._world.advance(self._now_ns):
-                client = self._clients.get(item.vehicle_index)
-                if client is None:
+                if item.vehicle_index not in self._clients:
                     told.append(item)
-                    continue
-                client.take(item.data, item.t_ns)
-                told += self._frames(item.vehicle_index, client, item.t_ns)
+                elif item.vehicle_index in self._radio_of:
+                    self._radio_of[item.vehicle_index].says(item.vehicle_index, item.data, item.t_ns)
+                else:
+                    told += self._heard(item.vehicle_index, item.data, item.t_ns)
+            if self._dead:
+                continue
             for number, client in self._clients.items():
                 client.bridge.tick(self._now_ns)
                 told += self._frames(number, client, self._now_ns)
-                self._send(number, [*client.greetings(self._now_ns), *client.packets()], self._now_ns)
+                client.greet(self._now_ns)
+            self._send_all()
         return sorted(told, key=lambda item: item.t_ns)
 
     def receive(self, vehicle_index: int, data: bytes, now_ns: int) -> None:
@@ -211,13 +237,50 @@ class GatewayWorld:
         client = self._clients.get(vehicle_index)
         if client is None:
             self._world.receive(vehicle_index, data, now_ns)
-            return
-        client.bridge.receive(data, now_ns)
-        self._send(vehicle_index, client.packets(), now_ns)
+        elif not self._dead:
+            client.bridge.receive(data, now_ns)
+            self._send_all()
+
+    def _heard(self, number: int, data: bytes, t_ns: int) -> list[Outgoing]:
+        if self._dead:
+            return []
+        client = self._clients[number]
+        client.take(data, t_ns)
+        return self._frames(number, client, t_ns)
 
     def _frames(self, number: int, client: _Client, t_ns: int) -> list[Outgoing]:
         return [Outgoing(t_ns, number, frame) for frame in client.bridge.take_frames()]
 
-    def _send(self, number: int, packets: list[bytes], now_ns: int) -> None:
-        for data in packets:
-            self._world.receive(number, data, now_ns)
+    def _carried(self) -> list[Outgoing]:
+        """Lets the radios do what they have time for; returns what reached the ground station."""
+        told: list[Outgoing] = []
+        for radio in self.radios.values():
+            for item in radio.run(self._now_ns, self._next):
+                if item.up:
+                    self._world.receive(item.vehicle, item.data, item.t_ns)
+                else:
+                    told += self._heard(item.vehicle, item.data, item.t_ns)
+        return told
+
+    def _next(self, number: int, now_ns: int) -> bytes | None:
+        return None if self._dead else self._clients[number].next(now_ns)
+
+    def _send_all(self) -> None:
+        """Takes what the bridges want sent: a radio asks for it when it has time, other links take it at once."""
+        if self._broadcast:
+            self._send_together()
+        for number, client in self._clients.items():
+            client.collect(self._now_ns)
+            while number not in self._radio_of and (data := client.next(self._now_ns)) is not None:
+                self._world.receive(number, data, self._now_ns)
+
+    def _send_together(self) -> None:
+        """Poses from outside, several to a packet, for all behind one radio."""
+        for radio in self.radios.values():
+            poses = {
+                self._world.config.vehicles[number].sysid: pose
+                for number in radio.vehicles
+                if (pose := self._clients[number].bridge.take_external_pose()) is not None
+            }
+            for data in packed_poses(poses):
+                radio.broadcast(data)

@@ -1,20 +1,26 @@
 """The gateway as a process: vehicles by cflib on one side, a MAVLink link on the other, one loop that waits.
 
 Ends when it is told to: whoever flies is landed first. Told twice, it leaves at once; then the firmware's own watchdog
-acts, and vehicles that fly by setpoints fall.
+acts, and vehicles that fly by setpoints fall. One that a flight has started waits for a word of that (``handover``)
+before it opens anything, and ends when that has ended and nobody flies any more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from groundstation.app.gateway.broadcasting import Broadcast, broadcasts
 from groundstation.app.gateway.cflib_edge import CflibVehicle, Heard, Inbox, start_drivers
 from groundstation.app.loop import FlightClock, Interrupts, Waiting
 from groundstation.core.errors import UserError
 from groundstation.gateway.bridge import Bridge
+from groundstation.gateway.handover import Handover, read
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Frame, Splitters
@@ -47,6 +53,9 @@ class Gateway:
         cache: folder for cflib's tables.
         pose_hz: poses a second that each logs.
         say: takes lines for people.
+        handover: what is known of them, by system id, where another gateway served them before.
+        since_ns: when the first gateway of this flight began, by the machine's monotonic clock; None for now. Vehicles
+            whose time since start-up began anew would be taken for restarted.
     """
 
     def __init__(
@@ -58,23 +67,39 @@ class Gateway:
         cache: Path,
         pose_hz: float,
         say: Callable[[str], None],
+        handover: Mapping[int, Handover] | None = None,
+        since_ns: int | None = None,
     ) -> None:
+        self._handover = dict(handover or {})
         self._out, self._clock, self._say = out, clock, say
         self.inbox = Inbox()
         now_ns = clock.now_ns()
+        boot_ns = None if since_ns is None else now_ns - (time.monotonic_ns() - since_ns)
         self._vehicles = [
-            _Served(sysid, CflibVehicle(number, uri, self.inbox, cache, pose_hz), Bridge(sysid, now_ns))
+            _Served(
+                sysid, CflibVehicle(number, uri, self.inbox, cache, pose_hz), Bridge(sysid, now_ns, pose_hz, boot_ns)
+            )
             for number, (sysid, uri) in enumerate(uris.items())
         ]
+        self._broadcasts: Sequence[Broadcast] = ()
         self._splitters = Splitters()
         self._peers: dict[str, int] = {}
         self.frames_in = self.frames_out = 0
 
     def connect(self) -> None:
-        """Begins to connect to all of them at once."""
+        """Begins to connect to all of them at once; who flies is told first of all to stay where it is."""
         start_drivers()
+        stay = [item for item in self._vehicles if self._told(item.sysid).flies]
         for item in self._vehicles:
-            item.link.connect()
+            told = self._told(item.sysid)
+            if told.flies:
+                item.bridge.resume(told.home_enu_m, told.settings, self._clock.now_ns())
+            item.link.connect(item.bridge.take_orders())
+        if stay:
+            self._say(f"vehicles {', '.join(str(item.sysid) for item in stay)} fly: they are told to stay")
+
+    def _told(self, sysid: int) -> Handover:
+        return self._handover.get(sysid, Handover())
 
     @property
     def flying(self) -> list[int]:
@@ -86,6 +111,10 @@ class Gateway:
         """System ids of those that are connected."""
         return [item.sysid for item in self._vehicles if item.connected]
 
+    def send_together(self, broadcasts: Sequence[Broadcast]) -> None:
+        """From now on poses from outside go out by these, of those vehicles that they reach."""
+        self._broadcasts = broadcasts
+
     def land_all(self) -> None:
         """Lands whoever flies, where it is; nothing but a kill is obeyed any more."""
         for item in self._vehicles:
@@ -93,13 +122,15 @@ class Gateway:
 
     def close(self) -> None:
         """Ends all connections."""
+        for broadcast in self._broadcasts:
+            broadcast.close()
         for item in self._vehicles:
             item.link.close(flies=item.bridge.pilot.supervisor.flies)
         self.inbox.close()
 
-    def step(self, waiting: Waiting) -> None:
-        """Waits for what comes, for a hundredth of a second at most, and does what is due."""
-        waiting.wait(_TICK_NS / 1e9)
+    def step(self, waiting: Waiting) -> Sequence[int]:
+        """Waits for what comes, for a hundredth of a second at most, and does what is due; numbers of what came."""
+        ready = waiting.wait(_TICK_NS / 1e9)
         now_ns = self._clock.now_ns()
         for peer, data in self._out.receive():
             self._peers[peer] = now_ns
@@ -116,9 +147,16 @@ class Gateway:
                 item.retry_ns = None
                 item.link.connect()
             item.bridge.tick(now_ns)
+        bridges = {item.sysid: item.bridge for item in self._vehicles}
+        for broadcast in self._broadcasts:
+            broadcast.send(
+                {sysid: pose for sysid in broadcast.sysids if (pose := bridges[sysid].take_external_pose()) is not None}
+            )
+        for item in self._vehicles:
             for order in item.bridge.take_orders():
                 item.link.obey(order)
             self._send(item.bridge.take_frames())
+        return ready
 
     def _send(self, frames: Sequence[bytes]) -> None:
         if not frames:
@@ -136,6 +174,8 @@ class Gateway:
             if late_ns > _LATE_NS and now_ns - item.late_said_ns > _SAY_AGAIN_NS:
                 item.late_said_ns = now_ns
                 self._say(f"vehicle {item.sysid}: its poses come {late_ns / 1e9:.2f} s late; lower the rates")
+        elif heard.kind == "echo":
+            item.bridge.echoed(heard.stamp_ms, now_ns)
         elif heard.kind == "param":
             for name, value in heard.values.items():
                 item.bridge.param_told(name, value)
@@ -157,7 +197,41 @@ class Gateway:
             )
 
 
-def serve(uris: dict[int, str], out: str, *, cache: Path, pose_hz: float, say: Callable[[str], None]) -> dict[str, int]:
+class Keeper:
+    """Whoever has started this gateway, by its standard input: one line to begin with, and its end.
+
+    Attributes:
+        gone: it has ended.
+    """
+
+    def __init__(self) -> None:
+        self.gone = False
+
+    def sources(self) -> Sequence[int]:
+        """A descriptor that can be read when it has ended."""
+        return () if self.gone else (sys.stdin.fileno(),)
+
+    def handover(self) -> dict[int, Handover] | None:
+        """Waits for its word; None when it ends before that."""
+        line = sys.stdin.readline()
+        return read(line) if line else None
+
+    def look(self) -> None:
+        """Notices its end."""
+        if not os.read(sys.stdin.fileno(), 4096):
+            self.gone = True
+
+
+def serve(
+    uris: dict[int, str],
+    out: str,
+    *,
+    cache: Path,
+    pose_hz: float,
+    say: Callable[[str], None],
+    broadcast: bool = False,
+    kept_since_ns: int | None = None,
+) -> dict[str, int]:
     """Serves vehicles until it is told to end.
 
     Args:
@@ -166,6 +240,8 @@ def serve(uris: dict[int, str], out: str, *, cache: Path, pose_hz: float, say: C
         cache: folder for cflib's tables; made where it is not there.
         pose_hz: poses a second that each logs.
         say: takes lines for people.
+        broadcast: poses from outside go to several vehicles in one packet, where they share a radio.
+        kept_since_ns: a flight has started it, then, by the machine's monotonic clock, and speaks by standard input.
 
     Returns:
         Counts for the answer.
@@ -177,18 +253,39 @@ def serve(uris: dict[int, str], out: str, *, cache: Path, pose_hz: float, say: C
         cache.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{cache}: {error.strerror}; name another folder with --cache") from error
+    keeper = None if kept_since_ns is None else Keeper()
+    handover = keeper.handover() if keeper is not None else {}
+    counts = {"vehicles": len(uris), "connected": 0, "left_flying": 0, "frames_in": 0, "frames_out": 0}
+    if handover is None:
+        return counts
     interrupts = Interrupts()
     with ExitStack() as stack:
         link = stack.enter_context(closing(open_link(out)))
         gateway = stack.enter_context(
-            closing(Gateway(uris, link, FlightClock(), cache=cache, pose_hz=pose_hz, say=say))
+            closing(
+                Gateway(
+                    uris,
+                    link,
+                    FlightClock(),
+                    cache=cache,
+                    pose_hz=pose_hz,
+                    say=say,
+                    handover=handover,
+                    since_ns=kept_since_ns,
+                )
+            )
         )
-        waiting = stack.enter_context(Waiting([link, gateway.inbox]))
+        if broadcast:
+            gateway.send_together(broadcasts(uris))
+        waiting = stack.enter_context(Waiting([link, gateway.inbox, *(() if keeper is None else (keeper,))]))
         stack.enter_context(interrupts.listening())
         gateway.connect()
         landing = False
         while interrupts.count < 2:
-            gateway.step(waiting)
+            if 2 in gateway.step(waiting) and keeper is not None:
+                keeper.look()
+            if keeper is not None and keeper.gone and not gateway.flying:
+                break
             if interrupts.count or interrupts.hung_up:
                 if not gateway.flying:
                     break
@@ -201,8 +298,7 @@ def serve(uris: dict[int, str], out: str, *, cache: Path, pose_hz: float, say: C
         left = gateway.flying
         if left:
             say(f"vehicles {', '.join(map(str, left))} are left in the air: without setpoints they fall after 2 s")
-        return {
-            "vehicles": len(uris),
+        return counts | {
             "connected": len(gateway.connected),
             "left_flying": len(left),
             "frames_in": gateway.frames_in,

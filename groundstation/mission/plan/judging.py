@@ -17,7 +17,15 @@ from groundstation.core.wind import Airframe
 from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.limits import resolve_limits
-from groundstation.mission.plan.links import POSE_HZ, check_signing, fit_links, read_forward, room_link
+from groundstation.mission.plan.links import (
+    POSE_HZ,
+    check_crtp,
+    check_signing,
+    fit_links,
+    mavlink_link,
+    read_forward,
+    room_link,
+)
 from groundstation.mission.plan.own_code import AVOIDANCE, LAW, CodeSource
 from groundstation.mission.plan.plan import MissionPlan, region_of
 from groundstation.mission.plan.positioning import (
@@ -83,7 +91,9 @@ def build_plan(
         check_shape(spec, shape.formation, region, floor_m=_floor(spec), source=source, key=key)
     _check_takeoff(spec, pads, source)
     _check_upload(spec, source)
-    links = tuple(dict.fromkeys(vehicle.link for vehicle in spec.vehicles))
+    check_crtp(spec, source)
+    link_of = [mavlink_link(spec, vehicle) for vehicle in spec.vehicles]
+    links = tuple(dict.fromkeys(link_of))
     addresses = tuple(parse_address(link) for link in links)
     check_signing(spec, addresses, source)
     rates = fit_links(spec, addresses, source)
@@ -156,7 +166,7 @@ def build_plan(
         lead_s=lead_s,
         links=links,
         addresses=addresses,
-        link_of_vehicle=tuple(links.index(vehicle.link) for vehicle in spec.vehicles),
+        link_of_vehicle=tuple(map(links.index, link_of)),
         rates=rates,
         forward=read_forward(spec, addresses, source),
         room_link=room_at,
@@ -254,7 +264,7 @@ def _check_vehicles(
         if vehicle.profile not in profiles:
             raise UserError(f"{key}.profile: {vehicle.profile}: {unknown(vehicle.profile, profiles)}")
         try:
-            parse_address(vehicle.link)
+            parse_address(mavlink_link(spec, vehicle))
         except UserError as error:
             raise UserError(f"{key}.link: {str(error).removeprefix('link ')}") from None
 

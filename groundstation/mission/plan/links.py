@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from groundstation.core.errors import UserError
-from groundstation.mavlink.addresses import LinkAddress, parse_address
+from groundstation.mavlink.addresses import GATEWAY_LINK, LinkAddress, is_crtp, mavlink_url, parse_address, radio_of
 from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
+from groundstation.mission.plan.gateway_spec import GatewaySpec
 from groundstation.mission.plan.positioning_spec import PositioningSpec
-from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mission.plan.schema import MissionSpec, VehicleSpec
 from groundstation.mocap.bodies import LINK, RoomConfig, room_config
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
@@ -56,6 +57,16 @@ class LinkPlan:
         """Links on which a frame may arrive in two pieces."""
         return tuple(number for number, address in enumerate(self.addresses) if address.is_stream)
 
+    @property
+    def crtp_links(self) -> dict[int, str]:
+        """Cflib addresses of the vehicles that a gateway of the flight's own serves, by id."""
+        return {vehicle.id: vehicle.link for vehicle in self.spec.vehicles if is_crtp(vehicle.link)}
+
+    @property
+    def gateway(self) -> GatewaySpec:
+        """What that gateway is like."""
+        return self.spec.gateway or GatewaySpec()
+
     def room(self) -> RoomConfig | None:
         """Whom to look for in the frames of a motion capture system; None where the mission has none."""
         if self.room_link is None:
@@ -91,6 +102,42 @@ class LinkPlan:
         """Whether a vehicle's place in the team frame comes from its place on earth."""
         spec = self.spec.vehicles[vehicle]
         return spec.position == "global" or spec.origin == "gps"
+
+
+def mavlink_link(spec: MissionSpec, vehicle: VehicleSpec) -> str:
+    """By which link a vehicle's MAVLink comes: its own, or that of the flight's gateway."""
+    return mavlink_url(vehicle.link, None if spec.gateway is None else spec.gateway.link)
+
+
+def check_crtp(spec: MissionSpec, source: str) -> None:
+    """Refuses addresses that no gateway could serve.
+
+    Raises:
+        UserError: with key and remedy.
+    """
+    first_with: dict[str, int] = {}
+    for number, vehicle in enumerate(spec.vehicles):
+        if not is_crtp(vehicle.link):
+            continue
+        key = f"{source}: vehicles[{number}].link"
+        autopilot = AUTOPILOTS.get(vehicle.autopilot)
+        if autopilot is not None and not autopilot.behind_a_gateway:
+            raise UserError(
+                f"{key}: {vehicle.link}: a Crazyflie's own firmware is behind it, not {vehicle.autopilot}; write"
+                " autopilot: crazyflie, or udpin://HOST:PORT for a vehicle that speaks MAVLink"
+            )
+        try:
+            radio_of(vehicle.link)
+        except (UserError, ValueError) as error:
+            raise UserError(f"{key}: {error}") from None
+        if vehicle.link in first_with:
+            raise UserError(
+                f"{key}: {vehicle.link} is that of vehicles[{first_with[vehicle.link]}] too; each has its own address"
+            )
+        first_with[vehicle.link] = number
+    address = parse_address((spec.gateway or GatewaySpec()).link)
+    if first_with and (address.kind != "udpout" or address.through_mavsdk):
+        raise UserError(f"{source}: gateway.link: {address.url}: expected udpout://HOST:PORT, as {GATEWAY_LINK}")
 
 
 def read_forward(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> LinkAddress | None:
@@ -171,7 +218,7 @@ def fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) 
             )
     fitted = []
     for address in addresses:
-        users = [vehicle for vehicle in spec.vehicles if vehicle.link == address.url]
+        users = [vehicle for vehicle in spec.vehicles if mavlink_link(spec, vehicle) == address.url]
         limit = spec.link_bytes_per_s.get(address.url, address.bytes_per_s)
         position = max((_POSITION_MESSAGES[vehicle.position] for vehicle in users), key=frame_bytes)
         wanted_hz = min(spec.rate_hz, POSE_HZ)

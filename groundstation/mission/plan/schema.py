@@ -21,6 +21,7 @@ from pydantic_core import CoreSchema
 
 from groundstation.core.findings import no_boolean
 from groundstation.mission.plan.fields import NotNegative, Number, Point, Positive
+from groundstation.mission.plan.gateway_spec import GatewaySpec
 from groundstation.mission.plan.obstacle_spec import ObstacleSpec, TrafficSpec
 from groundstation.mission.plan.positioning_spec import PositioningSpec
 from groundstation.mission.plan.sensing_spec import SensingSpec
@@ -493,6 +494,7 @@ class MissionSpec(_CourseKeys):
     link_bytes_per_s: dict[str, Positive] = {}
     signing: SigningSpec | None = None
     forward: str | None = None
+    gateway: GatewaySpec | None = None
     profiles: dict[str, ProfileSpec] = {}
     compensate_s: Literal["auto"] | Annotated[Number, Field(ge=0.2, le=2)] | None = None
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=1)]
