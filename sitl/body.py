@@ -110,6 +110,10 @@ class Senses:
             estimator.offset_enu_m[axis, self._index] += by_enu_m[axis]
         estimator.refresh()
 
+    def mislead(self, by_enu_m_s: Sequence[float]) -> None:
+        """Sets by how much the believed velocity is off beside its usual errors."""
+        self._estimator.mislead(self._index, by_enu_m_s)
+
     @property
     def on_ground(self) -> bool:
         """Whether it touches the ground."""

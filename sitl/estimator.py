@@ -101,6 +101,7 @@ class Estimator:
         att_error: errors of the upward axis (east, north) and of the heading, shape (3, n), rad.
         offset_enu_m: what faults add to the position, shape (3, n).
         drift_enu_m_s: how fast that offset grows, shape (3, n).
+        misled_enu_m_s: what is added to the velocity's error, shape (3, n).
     """
 
     def __init__(self, noises: Sequence[Noise], step_s: float, rng: np.random.Generator) -> None:
@@ -120,6 +121,8 @@ class Estimator:
         self.white_m = rows("pos_white_m")
         self.offset_enu_m = np.zeros((3, n))
         self.drift_enu_m_s = np.zeros((3, n))
+        self.misled_enu_m_s = np.zeros((3, n))
+        self._misled = False
         self.faulty = False
         self.pos_error, self.vel_error, self.att_error = np.split(self._errors.now, 3)
         shaken = any(noise.vel_in_air_only or noise.pos_follows_s for noise in noises)
@@ -142,6 +145,8 @@ class Estimator:
             self._shake(self._shaking, on_ground)
         elif self.faulty:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m
+        if self._misled:
+            self._mislead()
 
     def _shake(self, shaking: Shaking, on_ground: NDArray[np.bool_]) -> None:
         self.vel_error = shaking.step(self._errors.now[3:6], on_ground)
@@ -154,6 +159,16 @@ class Estimator:
             self.pos_error = self._errors.now[:3] + self._shaking.followed_m + self.offset_enu_m
         else:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m if self.faulty else self._errors.now[:3]
+
+    def mislead(self, index: int, by_enu_m_s: Sequence[float]) -> None:
+        """Sets what is added to the error of one vehicle's velocity."""
+        self.misled_enu_m_s[:, index] = by_enu_m_s
+        self._mislead()
+
+    def _mislead(self) -> None:
+        self._misled = bool(self.misled_enu_m_s.any())
+        if self._shaking is None:  # a shaken one's velocity is made anew at every step
+            self.vel_error = self._errors.now[3:6] + self.misled_enu_m_s if self._misled else self._errors.now[3:6]
 
     def white(self) -> Array:
         """White part of one report of every position, shape (3, n), m."""

@@ -13,10 +13,12 @@ class Traits(ABC):
     Attributes:
         first_item_is_home: of a mission: it is passed over.
         vision_needs_origin: positions from outside may not be used before somebody has set an origin.
+        stands_ready: it has armed itself, as its kind does from its start on, and stands with its motors off.
     """
 
     first_item_is_home = False
     vision_needs_origin = False
+    stands_ready = False
 
     @abstractmethod
     def mode_name(self) -> str:

@@ -31,6 +31,7 @@ from groundstation.mavlink.vehicle import (
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4  # MAV_RESULT
 _MS, _US = 1_000_000, 1_000
 _SILENT_NS = SECOND_NS
+_DARK_NS = 3 * SECOND_NS // 10  # without a pose from outside, where there were some
 _GENERIC, _QUADROTOR, _GCS = 0, 2, 6
 _MAVLINK_VERSION = 3
 _ARMED, _CUSTOM = 0x80, 0x01
@@ -307,6 +308,7 @@ class Bridge:
 
     def tick(self, now_ns: int) -> None:
         """Does what is due."""
+        self.pilot.dark = bool(self._external_ns) and now_ns - self._external_ns > _DARK_NS
         words = self.pilot.tick(now_ns)
         if words is not None:
             self._text(_WARNING if self.pilot.failsafe else _INFO, words)

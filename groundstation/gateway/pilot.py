@@ -28,7 +28,9 @@ from groundstation.gateway.settings import HOLD, LAND, RETURN, Settings
 SECOND_NS = 1_000_000_000
 _CLIMB_M_S, _CRUISE_M_S, _SINK_M_S = 0.8, 1.0, 0.4
 _TAKE_OFF_M_S, _EASE_S = 0.5, 1.5
+_DARK_SINK_M_S, _DARK_EASE_S = 0.6, 0.4
 _FRESH_NS = SECOND_NS // 2
+_AGAIN_NS, _PATIENCE_NS = 8 * SECOND_NS, 4 * SECOND_NS  # left alone twice in so long: it follows no sooner than this
 _REPEAT_NS = SECOND_NS // 10  # a velocity that nobody renews, as long as it is news: one packet may have been lost
 _DOWN_NS = SECOND_NS
 _YAW_GAIN_1_S, _YAW_RATE_MAX = 1.5, math.radians(60.0)
@@ -55,13 +57,14 @@ class Pilot:
     Attributes:
         mode: what it does.
         failsafe: it does so since it was left alone.
+        dark: where it is is told to it no more: it comes down quickly, for it drifts the longer the farther.
         most_hz: setpoints a second, where its link carries no more than that.
         orders: what is to be sent, in order; whoever sends it empties it.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.mode, self.failsafe = Mode.STAND, False
-        self.most_hz = math.inf
+        self.most_hz, self.dark = math.inf, False
         self.orders: list[Order] = []
         self._settings = settings
         self._armed = False  # by the ground station: one that arms itself is not, as long as it stands
@@ -69,6 +72,7 @@ class Pilot:
         self._velocity: tuple[Place, float | None] | None = None
         self._pose: Pose | None = None
         self._pose_ns = self._down_since_ns = 0
+        self._left_alone_ns, self._follows_from_ns = -_AGAIN_NS, 0
         self._home_enu_m: Place | None = None
         self._station_ns: int | None = None
         self._legs: list[tuple[float, Order | None]] = []
@@ -190,7 +194,8 @@ class Pilot:
         """Takes a setpoint; returns whether it steers."""
         if not all(map(math.isfinite, vel_enu_m_s)) or not self.supervisor.flies or self.climbs(now_ns):
             return False
-        if self.mode is Mode.HOLD and self.failsafe and self._velocity is not None:
+        waits = self.mode is Mode.HOLD and self.failsafe and self._velocity is not None
+        if waits and now_ns >= self._follows_from_ns:
             self.mode, self.failsafe = Mode.VELOCITY, False  # it was left alone for a moment
         if self.mode is not Mode.VELOCITY:
             return False
@@ -219,6 +224,9 @@ class Pilot:
         if self.mode is Mode.VELOCITY and self._velocity is not None:
             if now_ns - self._heard_ns >= self._settings["GW_SETP_LOSS_S"] * SECOND_NS:
                 age_s = (now_ns - self._heard_ns) / SECOND_NS
+                # To and fro between modes would look like two vehicles under one id.
+                again = now_ns - self._left_alone_ns < _AGAIN_NS
+                self._left_alone_ns, self._follows_from_ns = now_ns, now_ns + (_PATIENCE_NS if again else 0)
                 self._stay(now_ns, failsafe=True)
                 return f"no setpoint for {age_s:.2f} s; it stays where it is"
             if now_ns - self._sent_ns >= _REPEAT_NS:
@@ -282,7 +290,10 @@ class Pilot:
 
     def _down(self, from_m: float) -> LandAt:
         ground_m = 0.0 if self._home_enu_m is None else self._home_enu_m[2]
-        return LandAt(ground_m, max(_LEAST_DURATION_S, abs(from_m - ground_m) / _SINK_M_S + _EASE_S))
+        height_m = abs(from_m - ground_m)
+        if self.dark:
+            return LandAt(ground_m, height_m / _DARK_SINK_M_S + _DARK_EASE_S)
+        return LandAt(ground_m, max(_LEAST_DURATION_S, height_m / _SINK_M_S + _EASE_S))
 
     def _stay(self, now_ns: int, *, failsafe: bool) -> None:
         """Stays where the vehicle itself believes to be: what was told of that may be old."""

@@ -358,7 +358,7 @@ class _Flown:
         if world.dynamics.motion.crashed[i]:
             return "crashed"
         on_ground = bool(world.dynamics.motion.on_ground[i])
-        if on_ground and not pilot.armed:
+        if on_ground and (not pilot.armed or pilot.stands_ready):
             return "down"
         if pilot.acts_alone():
             return "failsafe"

@@ -175,7 +175,8 @@ class Witness:
         """The ground station has ended: who is in the air now, or armed, flies on without it."""
         world = self._world
         self._end_ns = now_ns
-        armed = np.array([pilot.armed for pilot in world.autopilots], dtype=np.bool_)
+        pilots = world.autopilots
+        armed = np.array([pilot.armed and not pilot.stands_ready for pilot in pilots], dtype=np.bool_)
         self._at_end = (~world.dynamics.motion.on_ground, armed)
 
     def verdict(self, outcome: str, reason: str, pairs_m: FloatArray) -> Verdict:

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core import frames
 from groundstation.core.limits import Fence
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
 from groundstation.mission.flight.columns import Columns, Distances, Scene
+from groundstation.mission.flight.dark import Dark
 from groundstation.mission.flight.places import Box
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.flight.spots import Spots
@@ -91,6 +93,7 @@ class Landing:
 
     Attributes:
         spots: where everybody comes down.
+        dark: parts the team when nobody knows where it is.
         deaf: who was told to land and goes on following our setpoints in the air, shape (n,). They are kept where they
             should come down: standing still by velocity alone they would drift, over others too, on which their own
             failsafe would land them in the end.
@@ -113,6 +116,10 @@ class Landing:
         self._fleet = fleet
         self._commands = commands
         self._standing = standing
+        # Of these nobody else knows where they are: one that is not seen drifts, and does not wait to be seen again.
+        gateway = np.array([autopilot.behind_a_gateway for autopilot in plan.autopilots])
+        self._drifts: BoolArray = gateway & (plan.room_link is not None)
+        self.dark = Dark(frames.ned_from_enu(plan.pads_enu_m))
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
         self.deaf: BoolArray = np.zeros(n, dtype=np.bool_)
         self._on_ground = HeldEach(n)
@@ -155,6 +162,8 @@ class Landing:
         self.deaf = self._goes_on_following(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         ready = self.spots.step(now_ns, self._scene(around, on_ground))
+        dark = self._in_the_dark() and bool(roster.lands.any())
+        parting = self.dark.step(dark, self._standing.airborne(now_ns), self._seen_last(around), now_ns)
         for vehicle in (roster.lands & fleet.armed).nonzero()[0].tolist():
             if self._commands.pending(vehicle) or not self._asking.due(vehicle, now_ns):
                 continue
@@ -165,7 +174,7 @@ class Landing:
                     self._asking.asked(vehicle, now_ns)
             elif autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
                 roster.tell_to_land(vehicle, now_ns)  # it has begun by itself what was wanted of it
-            elif ready[vehicle] or roster.told_to_land[vehicle]:
+            elif not parting[vehicle] and (ready[vehicle] or roster.told_to_land[vehicle]):
                 self._commands.request(vehicle, autopilot.land())
                 roster.tell_to_land(vehicle, now_ns)
                 self._asking.asked(vehicle, now_ns)
@@ -210,13 +219,18 @@ class Landing:
             down=down,
             sinks=sinks,
             lost=around.blind & ~down,
-            unheard=around.unheard & ~down,
+            unheard=around.unheard & ~down & ~self._drifts,
             loose=loose,
             led=around.led & ~sinks,
             wanted=roster.lands & ~down,
             coming=around.coming & roster.ours,
             hurries=np.asarray(fleet.battery_remaining < _HURRY * self._plan.limits.battery_land) | self._in_the_dark(),
         )
+
+    def _seen_last(self, around: Around) -> FloatArray:
+        """Where the motion capture saw everybody last, in the team's frame, shape (n, 3)."""
+        room = self._fleet.room
+        return around.poses.pos_team_ned_m if room is None else room.pos_ned_m
 
     def _in_the_dark(self) -> bool:
         """Whether the motion capture is gone for everybody: whoever waits in the air then drifts, each its own way."""

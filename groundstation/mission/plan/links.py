@@ -181,7 +181,8 @@ def room_link(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) 
     address = parse_address(given.link)
     if address.kind != "udpin" or address.through_mavsdk:
         raise UserError(f"{source}: positioning.link: {given.link}: expected udpin://HOST:PORT, as {LINK}")
-    if any(other.kind == "udpin" and other.port == address.port for other in addresses):
+    own = (spec.gateway or GatewaySpec()).link
+    if any(other.port == address.port and (other.kind == "udpin" or other.url == own) for other in addresses):
         raise UserError(
             f"{source}: positioning.link: {given.link}: port {address.port} is that of the vehicles; name another one"
         )

@@ -82,6 +82,8 @@ class Crazyflie(Autopilot):
                 self.arm()
             else:
                 self.disarm()
+        ready = supervisor.stage in (Stage.READY, Stage.LANDED)
+        self.stands_ready = supervisor.auto_armed and ready and not self.body.motors.flying
         point = commander.setpoint
         if not supervisor.may_fly or point is None:
             if self.body.motors.flying:

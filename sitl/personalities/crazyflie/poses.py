@@ -36,6 +36,7 @@ class Poses:
         self._body, self._number = body, number
         self._heard_ns: int | None = None
         self.received = 0
+        self._drifts = False
 
     def read(self, channel: int, data: bytes) -> None:
         """Takes a packet of the localisation port."""
@@ -66,6 +67,9 @@ class Poses:
         if not senses.has_origin:
             senses.set_origin((0.0, 0.0, 0.0))
         believed = senses.pos_enu_m
+        if self._drifts:
+            self._drifts = False
+            senses.mislead((0.0, 0.0, 0.0))
         share = 1.0 if first else _FOLLOW
         senses.correct([share * (place[axis] - believed[axis]) for axis in range(3)])
         senses.has_position = True
@@ -82,12 +86,20 @@ class Poses:
         return _VARIANCE_M2 + float((0.5 * _DRIFT_M_S2 * age_s**2) ** 2)
 
     def tick(self, now_ns: int, dt_s: float) -> None:
-        """Lets the belief drift while nobody says where it is."""
+        """Lets the belief, position and velocity, drift while nobody says where it is."""
         senses = self._body.senses
-        if senses.has_gps or self._heard_ns is None or self._body.senses.on_ground:
+        if senses.has_gps or self._heard_ns is None:
+            return
+        if senses.on_ground:
+            if self._drifts:
+                self._drifts = False
+                senses.mislead((0.0, 0.0, 0.0))
             return
         age_s = (now_ns - self._heard_ns - _STALE_NS) / SECOND
         if age_s > 0.0:
             step = _DRIFT_M_S2 * age_s * dt_s
             way = 2.4 * self._number
             senses.correct((step * math.cos(way), step * math.sin(way), 0.0))
+            speed = _DRIFT_M_S2 * age_s
+            senses.mislead((speed * math.cos(way), speed * math.sin(way), 0.0))
+            self._drifts = True
