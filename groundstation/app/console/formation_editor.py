@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -23,6 +24,7 @@ from groundstation.design.graphs import SHARE, Kind, suggest
 from groundstation.design.problem import SPECTRAL_NORM, Progress, Watch
 
 _DIGITS = 3  # of what was dragged, in the file's own units
+_CLICK_S, _STILL = 0.5, 2.0 * 10.0**-_DIGITS
 _TYPED_MAX = 64
 """Points up to which each has its fields; more are edited in the file."""
 
@@ -39,6 +41,7 @@ class FormationEditor:
     def __init__(self, draft: Draft, changed: Callable[[], None], *, solid: bool) -> None:
         self._draft, self._changed, self._solid = draft, changed, solid
         self._picked: int | None = None
+        self._dropped: tuple[int, float] = (-1, 0.0)
         self._scene: _Shape | None = None
         self._progress, self._stop = "", False
         self._numbers: list[list[ui.number]] = []
@@ -99,6 +102,9 @@ class FormationEditor:
 
     def _dragged(self, row: int, at: list[float]) -> None:
         point = [round(value, _DIGITS) for value in at]
+        if all(abs(one - other) < _STILL for one, other in zip(point, self._draft.points[row], strict=True)):
+            return  # a click
+        self._dropped = row, time.monotonic()
         self._draft.move(row, point)
         if self._numbers:
             for number, value in zip(self._numbers[row], point, strict=True):
@@ -106,6 +112,9 @@ class FormationEditor:
         self._show()
 
     def _clicked(self, row: int) -> None:
+        last, at_s = self._dropped
+        if row == last and time.monotonic() - at_s < _CLICK_S:  # a browser ends a drag with a click
+            return
         picked, self._picked = self._picked, None
         if picked is None:
             self._picked = row
