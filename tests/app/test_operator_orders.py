@@ -28,21 +28,21 @@ copyreg.pickle(struct.Struct, lambda shape: (struct.Struct, (shape.format,)))  #
 DONE = "."  # obeyed, no change of phase
 # What an order leads to: a phase, . for no change, x for a refusal. Columns as in LINES.
 LEADS_TO = {
-    Phase.CONNECT: "done x done done silent silent x x x",
-    Phase.TAKEOVER: "x x x x . silent x x x",
-    Phase.ARM: "land x land land land silent x x x",
-    Phase.TAKEOFF: "pause x stop land return silent x x x",
-    Phase.FORM: "pause x stop land return silent x x x",
-    Phase.HOLD: "pause x stop land return silent x x x",
-    Phase.LEAD: "pause x stop land return silent . return x",
-    Phase.STOP: "pause x . land . silent x x x",
-    Phase.PAUSE: "x hold return land . silent x x x",
-    Phase.RETURN: "pause x . land . silent x x x",
-    Phase.LAND: "x x . x . silent x x x",
-    Phase.SILENT: "x x x . . x x x x",
-    Phase.DONE: "x x x x x x x x x",
+    Phase.CONNECT: "done x done done silent silent x x",
+    Phase.TAKEOVER: "x x x x . silent x x",
+    Phase.ARM: "land x land land land silent x x",
+    Phase.TAKEOFF: "pause x stop land return silent x x",
+    Phase.FORM: "pause x stop land return silent x x",
+    Phase.HOLD: "pause x stop land return silent x x",
+    Phase.LEAD: "pause x stop land return silent . return",
+    Phase.STOP: "pause x . land . silent x x",
+    Phase.PAUSE: "x hold return land . silent x x",
+    Phase.RETURN: "pause x . land . silent x x",
+    Phase.LAND: "x x . x . silent x x",
+    Phase.SILENT: "x x x . . x x x",
+    Phase.DONE: "x x x x x x x x",
 }
-LINES = ("hold", "resume", "return", "land all", "kill 2", "silence", "turn 10", "next", "start")
+LINES = ("hold", "resume", "return", "land all", "kill 2", "silence", "turn 10", "next")
 
 
 class Stepped:
