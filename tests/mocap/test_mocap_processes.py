@@ -1,0 +1,117 @@
+"""``gs mocap read`` as a flight starts it, ``gs mocap play`` of a recorded flight: processes and frames on the wire."""
+
+from __future__ import annotations
+
+import json
+import lzma
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.app.mocap.process import reading
+from groundstation.app.mocap.reading import SYSTEMS
+from groundstation.core import frames
+from groundstation.mavlink.codec import Frame, FrameSplitter
+from groundstation.mavlink.mocap_frames import room_frames
+from groundstation.mocap.bodies import RoomFrame
+from tests.app.flights import mission
+
+_MAIN = "import sys; sys.argv[0] = 'gs'; from groundstation.app.cli import main; main()"
+_LOGS = Path(__file__).parents[1] / "reference_logs"
+_STAND_IN = '''"""Stands in for the package of that name: two bodies on the pads of lab_pair2, y up, in millimetres."""
+import time
+from types import SimpleNamespace as Value
+
+
+def connect(system, config):
+    assert (system, config) == ("vicon", {"hostname": "192.0.2.1"})
+    return System()
+
+
+class System:
+    def waitForNextFrame(self):
+        time.sleep(0.01)
+
+    @property
+    def rigidBodies(self):
+        level = Value(w=1.0, x=0.0, y=0.0, z=0.0)
+        places = {"left": (-500.0, 0.0, 0.0), "cf2": (500.0, 0.0, 0.0)}
+        return {name: Value(position=place, rotation=level) for name, place in places.items()}
+'''
+
+
+@contextmanager
+def listening() -> Iterator[tuple[socket.socket, str]]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as flight:
+        flight.bind(("127.0.0.1", 0))
+        flight.settimeout(60.0)
+        yield flight, f"udpin://127.0.0.1:{flight.getsockname()[1]}"
+
+
+def heard(flight: socket.socket, rows: dict[int, int], count: int) -> list[RoomFrame]:
+    """So many frames, as a flight reads them."""
+    splitter, found = FrameSplitter(), []
+    for number in range(count):
+        pieces = [piece for piece in splitter.feed(flight.recv(65536)) if isinstance(piece, Frame)]
+        found += list(room_frames([(piece, number) for piece in pieces], rows))
+    return found
+
+
+def test_a_flight_reads_the_system_that_its_mission_names_and_ends_that_with_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "motioncapture.py").write_text(_STAND_IN, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "motioncapture", raising=False)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    assert "vicon" in SYSTEMS
+    with listening() as (flight, link):
+        given = f"positioning={{source: mocap, system: vicon, host: 192.0.2.1, link: '{link}', up: y, unit: mm}}"
+        plan = mission("lab_pair2", given, "vehicles.0.body=left")
+        with reading(plan):
+            seen = heard(flight, {1: 0, 2: 1}, 3)
+        flight.settimeout(0.5)
+        left = 0
+        with suppress(TimeoutError):
+            while flight.recv(65536) and left < 10_000:
+                left += 1
+        assert left < 10_000  # it has ended: what still lay there was all
+    assert seen
+    for frame in seen:
+        assert frame.row.tolist() == [0, 1]
+        assert frame.pos_ned_m == pytest.approx(frames.ned_from_enu(plan.pads_enu_m))
+    monkeypatch.delitem(sys.modules, "motioncapture", raising=False)
+
+
+def test_the_room_of_a_recorded_flight_is_played_again(tmp_path: Path) -> None:
+    log = tmp_path / "room.tlog"
+    log.write_bytes(lzma.decompress((_LOGS / "room.tlog.xz").read_bytes()))
+    shutil.copy(_LOGS / "room.manifest.json", tmp_path)
+    vehicles = json.loads((_LOGS / "room.manifest.json").read_text(encoding="utf-8"))["mission"]["vehicles"]
+    with listening() as (flight, link):
+        words = ["mocap", "play", str(log), "--link", link]
+        process = subprocess.Popen(
+            [sys.executable, "-c", _MAIN, *words],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        try:
+            seen = heard(flight, {vehicle["id"]: row for row, vehicle in enumerate(vehicles)}, 20)
+        finally:
+            process.send_signal(signal.SIGINT)
+            said, _ = process.communicate(timeout=60)
+    assert "plays" in said
+    assert "Traceback" not in said
+    assert len(seen) == 20
+    assert np.diff([frame.stamp_ns for frame in seen]).min() > 0
+    assert seen[0].row.tolist() == list(range(len(vehicles)))
+    pads = np.array([vehicle["pad_m"] for vehicle in vehicles])
+    assert np.linalg.norm(seen[0].pos_ned_m - frames.ned_from_enu(pads), axis=1).max() < 0.05
