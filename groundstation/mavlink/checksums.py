@@ -127,42 +127,54 @@ class Sums:
 
 
 def stretches_checksum(data: bytes, start: IntArray, stop: IntArray, extra: Words) -> Words:
-    """The same for stretches that hardly overlap: of those that are equally long two bytes are taken at a time, of all.
+    """The same for stretches that hardly overlap: two bytes are taken at a time, of all together.
 
     Args:
-        data: bytes.
+        data: bytes, and as many behind each begin as the longest stretch has, and one more.
         start: first bytes, shape (k,).
-        stop: behind the last bytes, shape (k,), below ``len(data)``.
+        stop: behind the last bytes, shape (k,), all of them behind their begins.
         extra: the bytes that follow, shape (k,).
 
     Returns:
         Shape (k,).
     """
+    if not len(start):
+        return np.zeros(0, dtype=np.uint16)
     length = stop - start
     counts = np.bincount(length)
-    many = (counts >= _FEW_ALIKE).nonzero()[0].tolist()
-    if len(many) == 1 and counts[many[0]] == len(start):
-        return _with_extra(_alike(data, start, many[0]), extra)
+    rare = counts < _FEW_ALIKE
+    if not (rare & (counts > 0)).any():
+        return _with_extra(_together(data, start, length), extra)
     register: Words = np.empty(len(start), dtype=np.uint16)
-    for size in many:
-        rows = (length == size).nonzero()[0]
-        register[rows] = _alike(data, start[rows], size)
-    rows = (counts < _FEW_ALIKE)[length].nonzero()[0]
+    alone = rare[length]
+    rows = (~alone).nonzero()[0]
     if len(rows):
-        ends = zip(start[rows].tolist(), stop[rows].tolist(), strict=True)
-        register[rows] = [crc16.mcrf4xx(data[begin:end]) for begin, end in ends]
+        register[rows] = _together(data, start[rows], length[rows])
+    rows = alone.nonzero()[0]
+    ends = zip(start[rows].tolist(), stop[rows].tolist(), strict=True)
+    register[rows] = [crc16.mcrf4xx(data[begin:end]) for begin, end in ends]
     return _with_extra(register, extra)
 
 
-def _alike(data: bytes, start: IntArray, size: int) -> Words:
-    """Registers behind stretches of one length, shape (k,)."""
-    double, width = _double_step(), size + (size & 1)
+def _together(data: bytes, start: IntArray, length: IntArray) -> Words:
+    """Registers behind stretches, shape (k,) each: all go on by two bytes at a time, as far as each goes."""
+    order = np.argsort(length, kind="stable")
+    begin, size = start[order], length[order]
+    double, width = _double_step(), int(size[-1]) + 1 & ~1
     window: NDArray[np.void] = np.ndarray((len(data) - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))
-    columns: Words = window[start].view("<u2").reshape(len(start), width // 2).T
-    register: Words = np.full(len(start), _START, dtype=np.uint16)
-    for pair in columns[: size // 2]:
-        register = double.take(register ^ pair)
-    return _with_extra(register, columns[-1] & np.uint16(0xFF)) if size & 1 else register
+    columns: Words = window[begin].view("<u2").reshape(len(begin), width // 2).T
+    register: Words = np.full(len(begin), _START, dtype=np.uint16)
+    # Those that still go on stand behind those that have ended.
+    goes_on = np.searchsorted(size >> 1, np.arange(int(size[-1]) >> 1), side="right").tolist()
+    for pair, first in zip(columns, goes_on, strict=False):
+        register[first:] = double.take(register[first:] ^ pair[first:])
+    odd = (size & 1).nonzero()[0]
+    if len(odd):
+        octets = np.frombuffer(data, dtype=np.uint8)[begin[odd] + size[odd] - 1]
+        register[odd] = _with_extra(register[odd], octets.astype(np.uint16))
+    in_place: Words = np.empty_like(register)
+    in_place[order] = register
+    return in_place
 
 
 @cache
