@@ -88,7 +88,7 @@ class Bridge:
         self._link_told_ns = self._external_ns = 0
         self._trouble: str | None = None
         self._text_number = 0
-        self._flew = self._ends = False
+        self._flew = self._ends = self._resumed = False
 
     @property
     def lateness_ns(self) -> int:
@@ -120,6 +120,7 @@ class Bridge:
         for name, value in settings.items():
             if name in LIMITS:
                 self.settings.set_value(name, value)
+        self._resumed = True
         self.pilot.resume(home_enu_m, now_ns)
         self._text(_WARNING, "its gateway has begun anew; it stays where it is")
 
@@ -363,7 +364,8 @@ class Bridge:
         return found
 
     def _heard(self, now_ns: int) -> bool:
-        return self._heard_ns is not None and now_ns - self._heard_ns <= _SILENT_NS
+        known = self._protocol is not None or self._resumed  # else it would be asked what nobody knows yet
+        return known and self._heard_ns is not None and now_ns - self._heard_ns <= _SILENT_NS
 
     # -- what it tells ------------------------------------------------------------------------------------------
 
@@ -393,7 +395,7 @@ class Bridge:
     def _tell_changes(self, now_ns: int) -> None:
         """Tells at once what ground stations wait for: mode, armed, landed; and trouble that is new."""
         state = (int(self.pilot.mode), self.pilot.armed, self._landed_state(now_ns))
-        if state != self._told and self._heard_ns is not None:
+        if state != self._told and self._heard_ns is not None and (self._protocol is not None or self._resumed):
             self._told = state
             self._tell("HEARTBEAT", now_ns)
             self._tell("EXTENDED_SYS_STATE", now_ns)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from groundstation.app.gateway.emulated import RadioConfig
-from groundstation.app.gateway.process import budget_of, handover_of, rates_of
+from groundstation.app.gateway.process import budget_of, handover_of
 from groundstation.app.session import Session
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
-from groundstation.gateway.budget import transactions
+from groundstation.gateway.budget import capacity
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.runner import Phase
 from tests.app.flights import Flight, mission
@@ -117,14 +117,18 @@ def test_setpoints_of_all_vehicles_of_a_radio_arrive_within_a_tick_beside_poses_
 
 
 def test_a_budget_that_is_refused_would_have_failed_and_one_that_fits_does_not() -> None:
-    """The same eight on one radio: 250 kbit/s is refused; flown all the same, packets are late and rates fall."""
+    """Eight on one radio, with what the budget takes a radio for: 250 kbit/s are refused, 2 Mbit/s are not."""
+    one = dict.fromkeys(range(8), 0)
     slow = [f"vehicles.{k}.link=radio://0/80/250K/E7E7E7E70{k + 1}" for k in range(8)]
-    refused = lab(*slow)
-    with pytest.raises(UserError, match=r"radio 0: 8 vehicles, \d+ packets/s of \d+ usable"):
-        budget_of(refused)
-    assert transactions(8, rates_of(refused)) > 250.0
-    flight = Timed(refused, radio=RadioConfig(dict.fromkeys(range(8), 0), packets_s=200.0))
-    assert flight.worst_trip_s > 0.15 or str(flight.runner.outcome) != "completed"
-    assert [line for line in (*flight.texts("alarm"), *flight.texts("info")) if "rates at most" in line]
+    with pytest.raises(UserError, match=r"radio 0: 8 vehicles, 416 packets/s of 177 usable"):
+        budget_of(lab(*slow))
+    flight = Flight(lab(*slow, "limits.preflight_s=8"), radio=RadioConfig(one, capacity("250K")))
+    assert str(flight.runner.outcome) == "refused"
+    assert "s old, limit 0.5 s" in flight.runner.reason  # poses lie in queues
+
+    quick = [f"vehicles.{k}.link=radio://0/80/2M/E7E7E7E70{k + 1}" for k in range(8)]
+    assert len(budget_of(lab(*quick))) == 1
+    flight = Flight(lab(*quick), radio=RadioConfig(one, capacity("2M")))
+    assert str(flight.runner.outcome) == "completed", flight.runner.reason
     assert flight.world.min_distance_airborne_m >= RADIUS_M
-    assert len(budget_of(lab())) == 2  # two radios at 2M: said, not refused
+    assert flight.gateway.radios[0].dropped == 0

@@ -248,6 +248,9 @@ def test_who_is_not_heard_sends_no_heartbeat() -> None:
     assert bridge.take_frames() == []
     bridge.logged(_values(0.0, 1e-4), 0, 0)
     bridge.take_frames()
+    bridge.tick(400_000_000)
+    assert bridge.take_frames() == []  # its connection is not complete: nobody knows its version yet
+    bridge.connected(12, {})
     bridge.tick(500_000_000)
     assert bridge.take_frames()
     bridge.tick(3_000_000_000)
