@@ -91,7 +91,7 @@ def run(
     )
     for formation in formations:
         for profile in profiles:
-            plans = {name: plan_for(formation, profile, compensated=name == "compensated") for name in rivals}
+            plans = {name: plan_for(formation, profile, compensated=name == "product") for name in rivals}
             for start in starts:
                 team = f"{formation} {profile} {start}"
                 values[team] = {}
@@ -105,7 +105,7 @@ def run(
     return values
 
 
-def plan_for(name: str, profile: str, *, compensated: bool = False) -> MissionPlan:
+def plan_for(name: str, profile: str, *, compensated: bool = True) -> MissionPlan:
     """The mission of a race: formed within 10 cm, then held; pads count for nothing.
 
     Raises:
@@ -140,7 +140,7 @@ def plan_for(name: str, profile: str, *, compensated: bool = False) -> MissionPl
         "link_delay_s": LINK_DELAY_S,
         "position_error_m": WANDER_M,
         "min_altitude_m": 0.3,
-        "compensate_s": "auto" if compensated and PROFILES[profile].response is not None else None,
+        "compensate_s": "auto" if compensated else 0,
         "avoidance": {"radius_m": _RADIUS_M, "activation_m": _APART_M},
         "takeoff": {"height_m": 1.0},
         "steps": [{"form": {"tolerance_m": _WITHIN_M, "timeout_s": 600}}, {"hold": {"seconds": 600}}],

@@ -25,6 +25,9 @@ LEAST_RATE_1_S = 1e-6
 neither level nor one above the other, and a free or an all but free scale."""
 
 
+_STIFFNESS = 0.6
+"""k lambda (tau + delay) of an automatic control gain."""
+_TILT_SHARE, _GRAVITY_M_S2 = 0.6, 9.81
 SCALE_GAIN_M = 2.5
 """Gain of f times the length of an edge as the authors flew it, m/s: 2.5 1/s on edges of about 1 m (Section VIII)."""
 
@@ -268,8 +271,8 @@ def stiffest_rate_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, 
 def rate_for_auto_gain_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, upright_1_s: float = 0.0) -> float:
     """The rate that `auto_control_gain` is to be given: that of the gains, or half of the stiffest mode's if more.
 
-    The rule k lambda_max (tau + delay) = 0.5 was found on the cube, whose f is mild. In graphs with many edges f adds
-    up and sets the pace; half of its rate keeps k lambda (tau + delay) at 1, a damping of a half.
+    The rule k lambda_max (tau + delay) = 0.6 was found on the cube, whose f is mild. In graphs with many edges f adds
+    up and sets the pace; half of its rate keeps k lambda (tau + delay) at 1.2, a damping of about a half.
     """
     return max(largest_rate_1_s(gains), 0.5 * stiffest_rate_1_s(formation, gains, scale, upright_1_s))
 
@@ -300,16 +303,34 @@ def fitting_scale_gain(formation: Formation, gains: Gains, kind: ScaleKind, upri
     return by_size if with_f <= most else by_size * (most - without) / (with_f - without)
 
 
+def most_for_tilted_views(formation: Formation, gains: Gains, tau_s: float) -> float:
+    """The control gain up to which views that tilt with the vehicle do not make it swing.
+
+    Who accelerates by v' leans by v' / g, and sees a neighbour z above it by z v' / g to the side. With A_ij on it the
+    law asks for k |sum_j A_ij z_ij| v' / g more, and a lag makes v' = (u - v) / tau of that: a loop of gain
+    k |sum_j A_ij z_ij| / (g tau), which delays make swing from 1 on; 0.6 is allowed. At 1.5 the tip of tetrahedron4
+    swung by 0.25 m/s without end.
+
+    Args:
+        formation: points and graph, by role.
+        gains: by role.
+        tau_s: lag of the slowest vehicle's velocity loop; without any nobody leans.
+    """
+    rise_m = formation.points_enu_m[None, :, 2] - formation.points_enu_m[:, None, 2]
+    largest_m_s = float(np.abs((np.where(formation.adjacency, gains.xy, 0.0) * rise_m).sum(axis=1)).max())
+    return np.inf if tau_s == 0.0 or largest_m_s == 0.0 else _TILT_SHARE * _GRAVITY_M_S2 * tau_s / largest_m_s
+
+
 def auto_control_gain(lambda_max_1_s: float, tau_s: float, delay_s: float, lead_s: float = 0.0) -> float:
-    """The control gain that a lagging vehicle can bear: k lambda_max (tau + delay) = 0.5, at most 1.
+    """The control gain that a lagging vehicle can bear: k lambda_max (tau + delay) = 0.6, at most 1.
 
     The mode of rate lambda then closes as tau s'' + s' + k lambda s = 0, whose damping 1 / (2 sqrt(k lambda tau)) is
-    1 / sqrt(2) or more. With k lambda (tau + delay) = 10 every run oscillated, with 0.5 every run formed.
+    0.65 or more. With k lambda (tau + delay) = 10 every run oscillated, with 0.5 and 0.6 every run formed.
 
     Args:
         lambda_max_1_s: `rate_for_auto_gain_1_s`, > 0; for sparse graphs the largest eigenvalue of the gains.
         tau_s: lag of the slowest vehicle's velocity loop, >= 0.
-        delay_s: from measurement to effect, >= 0.
+        delay_s: from measurement to effect, the tick of the controller with it, >= 0.
         lead_s: the part of the lag that `formation_control` makes up for.
 
     Returns:
@@ -327,4 +348,4 @@ def auto_control_gain(lambda_max_1_s: float, tau_s: float, delay_s: float, lead_
         raise ValueError(f"lag {tau_s} s, delay {delay_s} s and lead {lead_s} s must be numbers, none negative")
     # A quarter of what is made up for is not trusted: the lag is never known exactly, nor is it of first order.
     uncompensated_s = max(tau_s - 0.75 * lead_s, 0.0) + delay_s
-    return 1.0 if uncompensated_s == 0.0 else min(1.0, 0.5 / (lambda_max_1_s * uncompensated_s))
+    return 1.0 if uncompensated_s == 0.0 else min(1.0, _STIFFNESS / (lambda_max_1_s * uncompensated_s))

@@ -2,7 +2,7 @@
 
 For each near agent j the commanded velocity of i along the line to it is bounded by half of what the pair may close,
 
-    n_ij . u_i <= alpha h_ij / 2,    h_ij = d_ij - (r + margin) + T min(d_ij', 0),    T = lag + delay (and more),
+    n_ij . u_i <= alpha h_ij / 2,    h_ij = d_ij - (r + margin) + T min(d_ij', 0),    T = lag (or more),
 
 n_ij the unit vector from i to j, d_ij their distance and d_ij' its rate as measured. d + T d' is the distance that
 would remain if both stopped now: what is already moving counts, not only what is commanded. All bounds of an agent
@@ -93,17 +93,20 @@ class DamperParams:
 
     @cached_property
     def horizon_s(self) -> float:
-        """T: how far ahead the measured closing speed is held against the pair."""
-        return max(self.lag_s, self.speed_limit_m_s / self.accel_limit_m_s2) + self.delay_s
+        """T: how far ahead the measured closing speed is held against the pair: what stopping takes.
+
+        No more: what a delay does is in alpha, and T beyond the lag makes a bound old sooner (`delay_product`).
+        """
+        return max(self.lag_s, self.speed_limit_m_s / self.accel_limit_m_s2)
 
     @cached_property
     def rate_1_s(self) -> float:
         """alpha: how fast the remaining distance may be used up.
 
-        1 / (4 (delay + tick) + tau), or, where that is less, the one with which `delay_product` is 1/e: long delays
-        on quick vehicles, for which what is already moving counts many times its lag.
+        1 / (3 (delay + tick) + tau), or, where that is less, the one with which `delay_product` is 1/e: long delays
+        on vehicles whose acceleration, and not their lag, says how long stopping takes.
         """
-        swift_1_s = 1.0 / (4.0 * (self.delay_s + self.tick_s) + self.lag_s)
+        swift_1_s = 1.0 / (3.0 * (self.delay_s + self.tick_s) + self.lag_s)
         # Not a minimum of both: where the first will do it stays what it is, to the last bit.
         return swift_1_s if swift_1_s * self._stale_s <= _STALE_MAX else _STALE_MAX / self._stale_s
 

@@ -189,11 +189,12 @@ def test_what_other_gains_would_have_said_to_the_same_poses(tmp_path: Path) -> N
     assert what_if(log, [], same).figures()["whatif_max_m_s"] == 0.0
     other = what_if(log, ["gain=0.2"])
     assert other.note == ""
-    track = load_flight(log).vehicles[0]  # what was said is what the log has, wherever it was sent
-    flying = np.all(np.isfinite(other.was_enu_m_s[:, 0]), axis=1)
+    # What was said is what the log has, wherever it was sent; setpoints of the first one, a PX4, were shaped besides.
+    track = load_flight(log).vehicles[1]
+    flying = np.all(np.isfinite(other.was_enu_m_s[:, 1]), axis=1)
     rows = np.searchsorted(other.t_ns, track.setpoint_t_ns, side="right") - 1
     sent = flying[rows]
-    np.testing.assert_allclose(other.was_enu_m_s[rows[sent], 0], track.setpoint_vel_enu_m_s[sent], atol=1e-6)
+    np.testing.assert_allclose(other.was_enu_m_s[rows[sent], 1], track.setpoint_vel_enu_m_s[sent], atol=1e-6)
     assert 0.0 < float(np.nanmax(other.apart_m_s)) < 1.0
     for change in ("vehicles.0.id=3", "rate_hz=10"):
         with pytest.raises(UserError, match="are the log's own"):

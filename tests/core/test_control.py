@@ -213,15 +213,28 @@ def test_saturation_keeps_direction_and_short_vectors(vector: list[float], limit
 @pytest.mark.parametrize(
     ("tau", "delay", "lead", "gain"),
     [
-        (1.0, 0.1, 0.0, 0.5 / 11.0),
-        (0.2, 0.05, 0.0, 0.2),
+        (1.0, 0.1, 0.0, 0.6 / 11.0),
+        (0.2, 0.05, 0.0, 0.24),
         (0.0, 0.0, 0.0, 1.0),
         (0.01, 0.01, 0.0, 1.0),
-        (1.0, 0.1, 1.0, 1.0 / 7.0),
+        (1.0, 0.1, 1.0, 1.2 / 7.0),
     ],
 )
 def test_auto_gain_follows_the_lag(tau: float, delay: float, lead: float, gain: float) -> None:
     assert control.auto_control_gain(10.0, tau, delay, lead) == pytest.approx(gain)
+
+
+def test_a_view_that_tilts_asks_for_what_the_limit_of_the_gain_reckons_with() -> None:
+    """In the formation, where nothing is wanted: an agent leans as it does when it accelerates by v', and is misled."""
+    acc_m_s2, tau_s, everybody = 0.2, 0.3, np.ones((8, 8), dtype=np.bool_)
+    tilted = frames.quat_ned_from_frd_of_euler(np.zeros(8), np.full(8, -acc_m_s2 / 9.81), np.zeros(8))
+    views = local_views(frames.ned_from_enu(cube().points_enu_m), np.zeros((8, 3)), tilted, everybody)
+    task = control.task_for_roles(cube(), cube_gains(), np.arange(8))
+    misled_m_s = np.linalg.norm(control.formation_control(views, task, FREE)[:, :2], axis=1)
+    most = control.most_for_tilted_views(cube(), cube_gains(), tau_s)
+    # k times that, over a lag tau: six tenths of what made it lean.
+    assert most * misled_m_s.max() / tau_s == pytest.approx(0.6 * acc_m_s2, rel=1e-2)
+    assert control.most_for_tilted_views(cube(), cube_gains(), 0.0) == np.inf
 
 
 @pytest.mark.parametrize("upright", [0.0, 0.7])

@@ -41,10 +41,10 @@ def view_of(rel: list[list[float]], rel_vel: list[list[float]]) -> LocalViews:
 
 
 def test_horizon_and_rate_follow_the_vehicle() -> None:
-    assert PARAMS.horizon_s == pytest.approx(1.1)
-    assert PARAMS.rate_1_s == pytest.approx(1.0 / (4 * 0.12 + 1.0))
+    assert PARAMS.horizon_s == pytest.approx(1.0)
+    assert PARAMS.rate_1_s == pytest.approx(1.0 / (3 * 0.12 + 1.0))
     weak = dataclasses.replace(PARAMS, lag_s=0.1, accel_limit_m_s2=1.0)
-    assert weak.horizon_s == pytest.approx(0.6)  # 0.5 s to lose 0.5 m/s
+    assert weak.horizon_s == pytest.approx(0.5)  # to lose 0.5 m/s
 
 
 @pytest.mark.parametrize("profile", [CRAZYFLIE, PX4_QUAD, KINEMATIC])
@@ -64,7 +64,7 @@ def test_the_argument_holds_for_every_setting(
 ) -> None:
     """No delay is too long: the distance left is used up more slowly instead, and no more slowly than is needed."""
     params = DamperParams(0.45, 0.05, lag_s, delay_s, tick_s, speed_m_s, accel_m_s2)
-    swift_1_s = 1.0 / (4.0 * (delay_s + tick_s) + lag_s)
+    swift_1_s = 1.0 / (3.0 * (delay_s + tick_s) + lag_s)
     assert 0.0 < params.rate_1_s <= swift_1_s
     assert params.delay_product <= np.exp(-1.0) * (1.0 + 1e-12)
     stretch = params.horizon_s / lag_s if lag_s > 0.0 else 1.0
@@ -103,13 +103,13 @@ def test_what_is_already_moving_enters_the_bound() -> None:
     parting = view_of([[0.8, 0, 0]], [[0.2, 0, 0]])
     half = 0.5 * PARAMS.rate_1_s
     assert approach_bounds(at_rest, PARAMS)[1][0, 0] == pytest.approx(half * 0.3)
-    assert approach_bounds(closing, PARAMS)[1][0, 0] == pytest.approx(half * (0.3 - 1.1 * 0.2))
+    assert approach_bounds(closing, PARAMS)[1][0, 0] == pytest.approx(half * (0.3 - 1.0 * 0.2))
     assert approach_bounds(parting, PARAMS)[1][0, 0] == pytest.approx(half * 0.3)  # no bonus
 
 
 def test_unknown_velocity_counts_as_closing() -> None:
     views = view_of([[1.8, 0, 0]], [[np.nan] * 3])
-    assert approach_bounds(views, PARAMS)[1][0, 0] == pytest.approx(0.5 * PARAMS.rate_1_s * (1.3 - 1.1 * 0.5))
+    assert approach_bounds(views, PARAMS)[1][0, 0] == pytest.approx(0.5 * PARAMS.rate_1_s * (1.3 - 1.0 * 0.5))
 
 
 def test_both_halves_are_done_around_an_obstacle() -> None:
@@ -121,13 +121,13 @@ def test_both_halves_are_done_around_an_obstacle() -> None:
     closing = dataclasses.replace(
         view_of([[1.3, 0, 0]], [[-0.3, 0, 0]]), vel_flu_m_s=np.array([[0.1, 0.0, 0.0]]), **extra
     )
-    left = 1.3 - 0.7 - 1.1 * 0.3
+    left = 1.3 - 0.7 - 1.0 * 0.3
     assert approach_bounds(closing, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * left - 0.2)
     # It goes away: nobody runs after it.
     parting = dataclasses.replace(view_of([[0.9, 0, 0]], [[0.4, 0, 0]]), **extra)
     assert approach_bounds(parting, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * 0.2)
     unknown = dataclasses.replace(view_of([[1.9, 0, 0]], [[np.nan] * 3]), **extra)
-    assert approach_bounds(unknown, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * (1.2 - 1.1 * 0.5))
+    assert approach_bounds(unknown, PARAMS)[1][0, 0] == pytest.approx(PARAMS.rate_1_s * (1.2 - 1.0 * 0.5))
 
 
 @pytest.mark.parametrize("profile", [CRAZYFLIE, PX4_QUAD])

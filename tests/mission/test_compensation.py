@@ -83,7 +83,7 @@ def test_vehicles_that_nobody_knows_get_their_commands_as_they_are() -> None:
 
 
 def test_everything_that_steers_counts_on_the_compensated_lag() -> None:
-    plain, plan = load_mission(PX4_CUBE8), load_mission(PX4_CUBE8, ["compensate_s=auto"])
+    plain, plan = load_mission(PX4_CUBE8, ["compensate_s=0"]), load_mission(PX4_CUBE8)
     assert (plain.profile.lag_s, plan.profile.lag_s, plan.lead_s) == (1.0, 0.75, 0.75)
     assert plan.control_gain > 1.1 * plain.control_gain
     assert plain.compensator() is None
@@ -92,12 +92,14 @@ def test_everything_that_steers_counts_on_the_compensated_lag() -> None:
     assert shape.compensated.all()
     again = plan_from_record(plan.record(), plan.gains_npz, "record")
     assert (again.profile, again.spec.compensate_s) == (plan.profile, "auto")
-    assert "compensate_s" not in plain.record()
+    # A flight from before this was the default is read as it was flown.
+    before = {key: value for key, value in plan.record().items() if key != "compensate_s"}
+    assert plan_from_record(before, plan.gains_npz, "record").profile == plain.profile
 
 
 def test_no_less_than_the_limits_of_setpoints_allow() -> None:
     # 1.5 m/s at 3 m/s^2: with 0.3 s px4_cube8 swung without end, its setpoints at the limit of their slope.
-    with pytest.raises(UserError, match=r"compensate_s: 0.3 s, minimum is 0.75 s.*auto"):
+    with pytest.raises(UserError, match=r"compensate_s: 0.3 s, minimum is 0.75 s.*leave it out"):
         load_mission(PX4_CUBE8, ["compensate_s=0.3"])
     assert load_mission(PX4_CUBE8, ["compensate_s=0.3", "speed_limit_m_s=0.5"]).profile.lag_s == 0.3
     assert load_mission(PX4_CUBE8, ["compensate_s=auto", "acceleration_limit_m_s2=2.5"]).profile.lag_s == pytest.approx(
@@ -111,7 +113,17 @@ def test_no_less_than_the_limits_of_setpoints_allow() -> None:
 def test_whose_answer_is_not_known_is_not_compensated(changes: list[str]) -> None:
     mission = PX4_CUBE8 if changes else PX4_CUBE8.with_name("cube8.yaml")
     with pytest.raises(UserError, match="no vehicle answers quicker by it"):
-        load_mission(mission, ["compensate_s=auto", *changes])
+        load_mission(mission, ["compensate_s=0.8", *changes])
+    assert load_mission(mission, changes).compensator() is None
+
+
+def test_in_a_mixed_team_nobody_stops_much_sooner_than_those_who_follow_it() -> None:
+    team = ["vehicles.0.profile=arducopter", "vehicles.0.autopilot=arducopter"]
+    plan = load_mission(PX4_CUBE8, team)
+    assert {profile.lag_s for profile in plan.vehicle_profiles} == {0.9}
+    shape = plan.compensator()
+    assert shape is not None
+    assert shape.compensated.tolist() == [False] + [True] * 7
 
 
 def test_a_vehicle_that_is_left_out_again_gets_its_commands_as_they_are() -> None:

@@ -41,14 +41,14 @@ def test_an_obstacle_pushes_from_farther_and_twice_as_hard() -> None:
     obstacle = dataclasses.replace(near, extra_radius_m=extra)
     margin_m = PLAN.keep_out_margin_m
     pushed = settled(obstacle, [0.0, 0.0, -1.0])
-    rate_1_s = 1.0 / (4 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
+    rate_1_s = 1.0 / (3 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
     assert pushed[0] == pytest.approx(rate_1_s * (0.6 - 0.45 - margin_m - 0.25), abs=1e-6)
     # The obstacle's own row stays as it was: nobody steers it.
     assert abs(Helm(Guide(PLAN), PLAN.size).to_targets(obstacle, obstacle.pos_team_ned_m).vel_ned_m_s[1]).max() < 0.5
 
 
 def test_a_fast_obstacle_is_seen_from_farther() -> None:
-    far = poses_of([0.0, 0.0, -1.0], [3.8, 0.0, -1.0])
+    far = poses_of([0.0, 0.0, -1.0], [3.7, 0.0, -1.0])
     vel = np.zeros((8, 3))
     vel[1, 0] = -5.0
     extra = np.array([0.0, 0.4, *[0.0] * 6])
@@ -64,7 +64,7 @@ def test_one_that_comes_down_with_an_extra_radius_is_left_once_and_not_twice() -
     sinking[1] = True
     extra = np.array([0.0, 0.2, *[0.0] * 6])
     falling = dataclasses.replace(above, sinking=sinking, extra_radius_m=extra)
-    rate_1_s = 1.0 / (4 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
+    rate_1_s = 1.0 / (3 * (PLAN.profile.delay_s + 0.02) + PLAN.profile.lag_s)
     assert settled(falling, [0.0, 0.0, -1.0])[0] == pytest.approx(
         rate_1_s * (beside_m - 0.45 - PLAN.keep_out_margin_m - 0.2), abs=1e-6
     )

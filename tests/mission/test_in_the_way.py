@@ -35,7 +35,7 @@ POLE = "{name: pole, at_m: [3, 0.5, 0], radius_m: 0.3, height_m: 4}"
         (
             POLE,
             "form: {}, move: {by_m: [5, 0, 0]}",
-            "steps[1].move: the team would come 0.44 m from obstacle pole, minimum is 0.51 m",
+            "steps[1].move: the team would come 0.44 m from obstacle pole, minimum is 0.50 m",
         ),
         (POLE, "go_to: {to_m: [5.5, 0.5, 2]}", "steps[0].go_to: the team on its straight way would come"),
     ],

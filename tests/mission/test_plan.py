@@ -27,11 +27,12 @@ def test_cube8_is_flown_as_the_paper_says_with_the_gain_that_the_lag_allows() ->
     plan = load_mission(CUBE8)
     assert (plan.spec.avoidance.radius_m, plan.spec.avoidance.activation_m) == (0.45, 0.5)
     assert (plan.scale.kind, plan.scale.gain) == ("arctan", 2.5)
-    # The paper's law alone: k lambda_max (tau + delay) = 0.5 with lambda_max = 10, tau = 0.2 s, delay = 0.05 s.
-    bare = ["lead_s=0", "upright_1_s=0"]
-    assert load_mission(CUBE8, bare).control_gain == pytest.approx(0.2, rel=1e-6)
+    # The paper's law alone: k lambda_max (tau + delay) = 0.6 with lambda_max = 10, tau = 0.2 s, delay = 0.05 s and the
+    # tick of 0.02 s.
+    bare = ["lead_s=0", "upright_1_s=0", "compensate_s=0"]
+    assert load_mission(CUBE8, bare).control_gain == pytest.approx(0.6 / (10 * 0.27), rel=1e-6)
     slower = load_mission(CUBE8, [*bare, "vehicles.3.profile=px4_quad"])
-    assert slower.control_gain == pytest.approx(0.5 / (10 * 1.1), rel=1e-6)
+    assert slower.control_gain == pytest.approx(0.6 / (10 * 1.12), rel=1e-6)
     assert load_mission(CUBE8, ["gain=0.07"]).control_gain == 0.07
     assert slower.control_gain < load_mission(CUBE8, ["vehicles.3.profile=px4_quad"]).control_gain < plan.control_gain
     assert (plan.lead_s, plan.upright_1_s) == (0.2, 1.0)

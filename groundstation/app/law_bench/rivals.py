@@ -59,6 +59,7 @@ class Product:
             plan, enlist(plan), Helm(Guide(plan), plan.size), Figures(), lambda kind, text, roles: None
         )
         self._flight.assign(assign_roles(start_enu_m, plan.formation).role_of_agent)
+        self._shape = plan.compensator()
         self._nobody = np.zeros(plan.size, dtype=np.bool_)
         self._tick = -1
 
@@ -74,20 +75,8 @@ class Product:
         now_ns = round(self._tick * TICK_S * SECOND_NS)
         if self._tick == 0:
             self._flight.next_step(now_ns, poses)
-        return self._flight.step(now_ns, poses).vel_ned_m_s
-
-
-class Compensated(Product):
-    """The product with commands that are shaped for vehicles whose answer is known, and a plan that counts on it."""
-
-    def __init__(self, plan: MissionPlan, start_enu_m: FloatArray) -> None:
-        super().__init__(plan, start_enu_m)
-        self._shape = plan.compensator()
-
-    def steer(self, seen: Seen) -> FloatArray:
-        """Velocities to be told at a tick, NED, shape (n, 3)."""
-        told = super().steer(seen)
-        return told if self._shape is None else self._shape(told)
+        vel_ned_m_s = self._flight.step(now_ns, poses).vel_ned_m_s
+        return vel_ned_m_s if self._shape is None else self._shape(vel_ned_m_s)
 
 
 class _Limited:
@@ -112,7 +101,7 @@ class PureLaw(_Limited):
         self.roles = assign_roles(start_enu_m, formation).role_of_agent
         self._task = control.task_for_roles(formation, gains, self.roles)
         rate_1_s = control.rate_for_auto_gain_1_s(formation, gains, plan.scale)
-        self._gain = control.auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s)
+        self._gain = control.auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s + TICK_S)
         self._scale, self._region = plan.scale, plan.region
         self._everybody = np.ones((plan.size, plan.size), dtype=np.bool_)
 
@@ -230,7 +219,7 @@ class Voronoi(Straight):
 
 RIVALS: dict[str, type[Product] | type[PureLaw] | type[Straight]] = {
     "product": Product,
-    "compensated": Compensated,
+    "not shaped": Product,
     "pure law": PureLaw,
     "ORCA": Orca,
     "Voronoi": Voronoi,

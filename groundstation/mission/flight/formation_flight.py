@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.control import Task, auto_control_gain, rate_for_auto_gain_1_s, task_for_roles
+from groundstation.core.control import (
+    Task,
+    auto_control_gain,
+    most_for_tilted_views,
+    rate_for_auto_gain_1_s,
+    task_for_roles,
+)
 from groundstation.core.formation import Formation
 from groundstation.core.gridlock import GridlockParams, Gridlocks, Sensed
 from groundstation.core.metrics import free_scale_error_m, team_error_m, vertical_orientation
@@ -26,7 +32,7 @@ from groundstation.mission.flight.helm import Helm
 from groundstation.mission.flight.keeping import added
 from groundstation.mission.flight.leading import Leading
 from groundstation.mission.flight.poses import Poses
-from groundstation.mission.flight.sensing import Sensing
+from groundstation.mission.flight.sensing import Eyes
 from groundstation.mission.flight.step import Now, StepFlight
 from groundstation.mission.flight.steps import step_flight
 from groundstation.mission.flight.under_way import UnderWay
@@ -88,8 +94,7 @@ class FormationFlight:
         self._able_gain = np.inf
         self._doing: StepFlight | None = None
         self._going_home = False
-        sensing, ids = plan.spec.sensing, [vehicle.id for vehicle in plan.spec.vehicles]
-        self._sensing = None if sensing is None else Sensing(sensing, ids, self._now.tell)
+        self._eyes = Eyes(plan, self._now.tell)
         self._gridlocks = Gridlocks(
             n,
             GridlockParams(
@@ -210,7 +215,9 @@ class FormationFlight:
             task, smaller, gains = task_for_those_left(stage.formation, stage.shape.gains, roles, missing)
             # Neighbours of a missing one have become neighbours of each other: the loop may be faster than before.
             rate_1_s = rate_for_auto_gain_1_s(smaller, gains, stage.scale, stage.upright_1_s)
-            self._able_gain = auto_control_gain(rate_1_s, plan.profile.lag_s, plan.profile.delay_s, plan.lead_s)
+            delay_s = plan.profile.delay_s + 1.0 / plan.spec.rate_hz
+            able = auto_control_gain(rate_1_s, plan.profile.lag_s, delay_s, plan.lead_s)
+            self._able_gain = min(able, most_for_tilted_views(smaller, gains, plan.profile.lag_s))
         else:
             task = task_for_roles(stage.formation, stage.shape.gains, roles)
             self._able_gain = np.inf
@@ -261,7 +268,7 @@ class FormationFlight:
             detour_enu_m_s=_detours(self._gridlocks, poses) if forming else None,
             motion=added(tick.motion, kept),
             present=tick.present,
-            sight=None if self._sensing is None else self._sensing.look(now_ns, poses, self._task.neighbours),
+            sight=self._eyes.look(now_ns, poses, self._task.neighbours),
         )
         guidance = self._helm.formation(poses, self._sized_task(self._task), course)
         for words in self._helm.guide.take_words():

@@ -69,7 +69,7 @@ class Course:
         motion: what the formation does as one; None at rest.
         present: the part of it that shows in velocities already.
         members: agents that fly the formation, shape (n,); None for all.
-        sight: what the law is shown where agents' own sensors see less; None where they see all neighbours.
+        sight: what the law is shown, if that is not the poses: smoothed places, or agents' own sensors that see less.
     """
 
     stage: Stage

@@ -33,6 +33,8 @@ class Poses:
         vel_error_m_s: standard deviation of a velocity that is known to be poor, one axis, shape (n,), >= 0; zero for
             all others, whose error is part of the margin of r. Zeros when left out.
         intruders: aircraft that are none of the team.
+        carried_s: for how long positions were carried on by their velocities since they were measured, shape (n,).
+            Zeros when left out.
     """
 
     pos_team_ned_m: FloatArray
@@ -42,6 +44,7 @@ class Poses:
     extra_radius_m: FloatArray = field(default_factory=lambda: _NOBODY)
     vel_error_m_s: FloatArray = field(default_factory=lambda: _NOBODY)
     intruders: Intruders = NOBODY
+    carried_s: FloatArray = field(default_factory=lambda: _NOBODY)
 
     @cached_property
     def rot_ned_from_flu(self) -> FloatArray:
@@ -51,7 +54,7 @@ class Poses:
     def __post_init__(self) -> None:
         """Fills in what was left out, and refuses arrays of the wrong size."""
         n = len(self.pos_team_ned_m)
-        for name in ("extra_radius_m", "vel_error_m_s"):
+        for name in ("extra_radius_m", "vel_error_m_s", "carried_s"):
             given = getattr(self, name)
             if given is _NOBODY:
                 object.__setattr__(self, name, np.zeros(n))

@@ -1,4 +1,4 @@
-"""What the law is shown where agents' own sensors see less than everybody: what is seen now, what is remembered.
+"""What the law is shown: smoothed places, and of these what agents' own sensors see or remember, where that is less.
 
 For the law of a formation alone. Avoidance, the damper, detours and the team's place go on by the positions that all
 others are flown by: r is kept whatever a sensor loses.
@@ -14,9 +14,12 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.core.quick import finite_rows, some
 from groundstation.core.sensing import cameras, noise_m, sensed
+from groundstation.core.smoothing import Smoother
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.views import LocalViews, local_views
 from groundstation.mission.flight.poses import Poses
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.positioning import DEVIATIONS, SMOOTHED_1_S
 from groundstation.mission.plan.sensing_spec import SensingSpec
 from groundstation.mission.timing import SECOND_NS
 
@@ -34,6 +37,34 @@ class Sight:
 
     views: LocalViews
     waits: BoolArray
+
+
+class Eyes:
+    """What the law of one team is shown.
+
+    Args:
+        plan: positioning, sensors.
+        tell: takes a line for the log.
+    """
+
+    def __init__(self, plan: MissionPlan, tell: Callable[[str], None]) -> None:
+        most_m = DEVIATIONS * plan.profile.position_error_m
+        self._smoothed = Smoother(plan.size, SMOOTHED_1_S[plan.positioning], most_m)
+        sensing, ids = plan.spec.sensing, [vehicle.id for vehicle in plan.spec.vehicles]
+        self._sensing = None if sensing is None else Sensing(sensing, ids, tell)
+
+    def look(self, now_ns: int, poses: Poses, neighbours: BoolArray) -> Sight:
+        """What every agent has of its neighbours, shape (n, n), at a tick."""
+        poor = poses.vel_error_m_s > 0.0
+        places_ned_m = self._smoothed(
+            now_ns / SECOND_NS, poses.pos_team_ned_m, poses.vel_ned_m_s, poses.carried_s, poor
+        )
+        if self._sensing is not None:
+            return self._sensing.look(now_ns, replace(poses, pos_team_ned_m=places_ned_m), neighbours)
+        views = local_views(
+            places_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours, poses.rot_ned_from_flu
+        )
+        return Sight(views, np.zeros(len(places_ned_m), dtype=np.bool_))
 
 
 class Sensing:

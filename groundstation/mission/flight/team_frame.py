@@ -58,7 +58,7 @@ class TeamFrame:
         declared to begin at their pads, and that fly by GPS, are shifted to their pads altogether: their estimates
         began somewhere near.
         """
-        self._settle(self.placement.pads_ned_m - self._reported(fleet, now_ns))
+        self._settle(self.placement.pads_ned_m - self._reported(fleet, now_ns)[0])
 
     def _settle(self, gap: FloatArray) -> None:
         """Shifts heights, and places that are only roughly known, by what the vehicles were off while they stood."""
@@ -115,7 +115,8 @@ class TeamFrame:
     def poses(self, fleet: Fleet, now_ns: int) -> Poses:
         """Poses of the team at one instant, each brought there from its measurement by its velocity."""
         velocity = np.where(self.placement.on_earth[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
-        return Poses(self._reported(fleet, now_ns) + self._shift_ned_m, velocity, fleet.quat_ned_from_frd, self._nobody)
+        position, carried_s = self._reported(fleet, now_ns)
+        return Poses(position + self._shift_ned_m, velocity, fleet.quat_ned_from_frd, self._nobody, carried_s=carried_s)
 
     def pose_ns(self, fleet: Fleet) -> IntArray:
         """When each pose was measured: the older of position and attitude, shape (n,).
@@ -170,13 +171,14 @@ class TeamFrame:
         self._apart_m[rows] = np.stack([apart, self._apart_m[rows, 0]], axis=1)
         self._compared_ns[rows] = np.stack([fleet.place_ns[rows], self._compared_ns[rows, 0]], axis=1)
 
-    def _reported(self, fleet: Fleet, now_ns: int) -> FloatArray:
-        """Positions as reported, brought to an instant, shape (n, 3)."""
+    def _reported(self, fleet: Fleet, now_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Positions as reported, brought to an instant, shape (n, 3), and how long they were carried on, shape (n,)."""
         limit_s = self._plan.spec.limits.pose_age_s
-        age_s = between((now_ns - fleet.pose_ns) / SECOND_NS, 0.0, limit_s)[:, None]
-        position = self.placement.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s
+        age_s = between((now_ns - fleet.pose_ns) / SECOND_NS, 0.0, limit_s)
+        position = self.placement.origin_team_ned_m + fleet.pos_local_ned_m + fleet.vel_ned_m_s * age_s[:, None]
         if some(self.placement.on_earth):
             rows = self.placement.on_earth.nonzero()[0]
-            age_s = between((now_ns - fleet.place_ns[rows]) / SECOND_NS, 0.0, limit_s)[:, None]
-            position[rows] = self.placement.from_anchor(fleet.place_deg_m[rows]) + fleet.place_vel_ned_m_s[rows] * age_s
-        return np.asarray(position)
+            age_s[rows] = between((now_ns - fleet.place_ns[rows]) / SECOND_NS, 0.0, limit_s)
+            moved_m = fleet.place_vel_ned_m_s[rows] * age_s[rows, None]
+            position[rows] = self.placement.from_anchor(fleet.place_deg_m[rows]) + moved_m
+        return np.asarray(position), age_s

@@ -273,13 +273,13 @@ def _check_compensation(
     spec: MissionSpec, profiles: Sequence[VehicleProfile], lag_s: float | None, source: str
 ) -> None:
     """Refuses a compensation that limits would undo, and one that nobody of the team can be given."""
-    if spec.compensate_s is None or lag_s is None:
+    if spec.compensate_s == "auto" or lag_s is None:
         return
-    if spec.compensate_s != "auto" and spec.compensate_s < lag_s:
+    if spec.compensate_s < lag_s:
         raise UserError(
             f"{source}: compensate_s: {spec.compensate_s:g} s, minimum is {lag_s:.3g} s, 1.5 times what the speed limit"
             f" of {spec.speed_limit_m_s:g} m/s takes at the acceleration limit: counting on less the team may swing;"
-            " make it larger, say auto, or lower the speed limit"
+            " make it larger, leave it out, or lower the speed limit"
         )
     if any(profile.response is not None for profile in profiles):
         return

@@ -21,6 +21,9 @@ from groundstation.mission.plan.schema import MissionSpec
 POSITION_ERROR_M = {"mocap": 0.01, "rtk": 0.03, "gps": 0.24}
 """Standard deviation of a position, one axis, by source. GPS: vehicles side by side wander by up to 1 m against
 each other, which is three standard deviations of a difference."""
+SMOOTHED_1_S = {"mocap": 0.5, "rtk": 0.5, "gps": 1.0}
+"""How fast reported positions draw the places to them that the law is shown (`core.smoothing`), by source: what the
+velocity wanders by against what the position does. GPS: its velocities are wrong for seconds."""
 _WANDER_M_S = 0.04
 """Standard deviation of a velocity that GPS and IMU do not notice: at zero command vehicles were seen to wander by up
 to 2.5 m a minute."""

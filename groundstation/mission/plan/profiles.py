@@ -113,11 +113,15 @@ def compensated_lag_s(spec: MissionSpec, profiles: Sequence[VehicleProfile]) -> 
     faster lags behind what is wished, however quick the vehicle. A gain and a lead for less make a team swing without
     end: at 0.6 times always, at once that time with velocity loops that are 30 % quicker than known.
     """
-    if spec.compensate_s is None:
+    if not spec.compensate_s:
         return None
     reached_m_s2 = min(profile.acceleration_max_m_s2 for profile in profiles)
     least_s = _SLOPES * spec.speed_limit_m_s / min(spec.acceleration_limit_m_s2 or reached_m_s2, reached_m_s2)
-    return max(COMPENSATED_S if spec.compensate_s == "auto" else spec.compensate_s, least_s)
+    if spec.compensate_s == "auto":
+        # In a mixed team nobody is to stop much sooner than those who follow it.
+        others_s = [profile.lag_s for profile in profiles if profile.response is None]
+        return max(COMPENSATED_S, least_s, *others_s)
+    return max(spec.compensate_s, least_s)
 
 
 def compensated(profile: VehicleProfile, lag_s: float | None) -> VehicleProfile:

@@ -132,7 +132,8 @@ def plan_from_record(
     Raises:
         UserError: the record is not one of ours, or what it holds does not fit together.
     """
-    values = dict(mission)
+    # Before setpoints were shaped where a vehicle is known, records said nothing, and they went as they were.
+    values = {"compensate_s": 0, **mission}
     without = "formation" in values and values["formation"] is None
     points = values.pop("formation", None)
     if not isinstance(points, Mapping) and not without:

@@ -496,5 +496,5 @@ class MissionSpec(_CourseKeys):
     forward: str | None = None
     gateway: GatewaySpec | None = None
     profiles: dict[str, ProfileSpec] = {}
-    compensate_s: Literal["auto"] | Annotated[Number, Field(ge=0.2, le=2)] | None = None
+    compensate_s: Literal["auto", 0] | Annotated[Number, Field(ge=0.2, le=2)] = "auto"
     vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=1)]

@@ -16,7 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.core.assignment import assign_roles
-from groundstation.core.control import ScaleFunction, auto_control_gain, fitting_scale_gain, rate_for_auto_gain_1_s
+from groundstation.core.control import (
+    ScaleFunction,
+    auto_control_gain,
+    fitting_scale_gain,
+    most_for_tilted_views,
+    rate_for_auto_gain_1_s,
+)
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
@@ -159,8 +165,9 @@ def make_stage(
         gain = fitting_scale_gain(shape.formation, shape.gains, law.kind, upright_1_s)
     function = ScaleFunction(kind=law.kind, gain=gain)
     rate_1_s = rate_for_auto_gain_1_s(shape.formation, shape.gains, function, upright_1_s)
+    level = most_for_tilted_views(shape.formation, shape.gains, profile.lag_s)
     try:
-        automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s, lead_s)
+        automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s + 1.0 / spec.rate_hz, lead_s)
     except ValueError as error:
         at = "" if key == "formation" or scale is None else f"{key}."
         strength = "" if law.kind == "free" else f", gain {gain:g}"
@@ -172,7 +179,7 @@ def make_stage(
     return Stage(
         key=key,
         shape=shape,
-        control_gain=automatic if spec.gain == "auto" else spec.gain,
+        control_gain=min(automatic, level) if spec.gain == "auto" else spec.gain,
         scale=function,
         upright_1_s=upright_1_s,
         assignment=chosen,
