@@ -72,7 +72,7 @@ def test_where_positions_are_carried_on_to_they_are_smoothed_and_not_behind() ->
     smoother, rng, behind_m = Smoother(2, RATE_1_S, MOST_M), np.random.default_rng(3), 0.0
     for k in range(300):
         now_s = k * TICK_S
-        old_s = 0.03 + TICK_S * rng.integers(0, 3, 2)
+        old_s = np.asarray(0.03 + TICK_S * rng.integers(0, 3, 2), dtype=np.float64)
         then_s = (now_s - old_s)[:, None] * np.ones((1, 3))
         vel = 0.4 * np.sin(then_s)
         carried_m = 0.4 * (1.0 - np.cos(then_s)) + old_s[:, None] * vel
