@@ -188,7 +188,7 @@ ANCHOR = "anchor={lat_deg: 47.397742, lon_deg: 8.545594, alt_m: 488.0}"
         (_swap, (ANCHOR,), ": it stands on the pad of vehicle 2, and vehicle 2 on its pad; exchange them"),
         (_one_moved, (ANCHOR,), "it stands on the pad of vehicle 2; put it on its own pad, or correct pad_m"),
         (_close_up, (ANCHOR, "limits.pad_error_m=2.4"), " m from vehicle 2, minimum is 2.5 m (avoidance.radius_m)"),
-        (_battery(0.3), (), "vehicle 1: battery at 30%, the mission of about 54 s needs 46%: 6% to fly"),
+        (_battery(0.3), (), "vehicle 1: battery at 30%, the mission of about 53 s needs 46%: 6% to fly"),
         (_battery(0.9), ("vehicles.0.endurance_s=100",), "needs 111%"),
         (_battery(0.9), ("vehicles.0.endurance_s=100",), "; make the mission shorter"),
         (_old(0x010B0000), (), "vehicle 1: its firmware is 1.11.0 dev, 1.12 at least is needed; update it"),

@@ -122,7 +122,7 @@ def test_setpoints_to_stand_still_come_before_the_mode_is_asked_for() -> None:
                 sent.extend("mode" for batch in decode(frames) if _asks_for_mode(batch))
             super().receive(vehicle_index, data, now_ns)
 
-    world = _left_in_the_air(pair(autopilots=("px4", "px4")), still_in(Phase.HOLD), prepare=_land_modes)
+    world = _left_in_the_air(pair(autopilots=("px4", "px4")), still_in(Phase.HOLD), idle_s=4.0, prepare=_land_modes)
     flight = Listening(pair(autopilots=("px4", "px4")), world=world, take_over=True)
     assert flight.runner.outcome == "completed"
     assert "mode" in sent
