@@ -223,7 +223,7 @@ class Runner(Told):
         # Who waits to hear us follows the first setpoint that comes through, up to a second before we know.
         still = team.board.hold | team.board.waits | ~team.steerable
         sent = np.where(still[:, None], 0.0, team.board.speeds.told(velocity_ned_m_s))
-        self._sent_ned_m_s = team.landing.dark.velocities(sent, team.in_the_dark, now_ns)
+        self._sent_ned_m_s = team.landing.dark.velocities(sent, team.landing.in_the_dark, now_ns)
         steered = np.asarray(team.roster.steered & state.streams)
         try:
             return team.station.transmit(now_ns, self._shaped(steered), team.stance.yaw_ned_rad, due & steered)

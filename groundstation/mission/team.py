@@ -97,12 +97,6 @@ class Team:
         """State of the vehicles."""
         return self.station.fleet
 
-    @property
-    def in_the_dark(self) -> bool:
-        """Whether positions come from a motion capture system of which nothing comes any more."""
-        room = self.fleet.room
-        return room is not None and room.gone
-
     def absent(self) -> BoolArray:
         """Vehicles that do not follow setpoints at the moment, shape (n,)."""
         board = self.board

@@ -162,7 +162,7 @@ class Landing:
         self.deaf = self._goes_on_following(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         ready = self.spots.step(now_ns, self._scene(around, on_ground))
-        dark = self._in_the_dark() and bool(roster.lands.any())
+        dark = self.in_the_dark and bool(roster.lands.any())
         parting = self.dark.step(dark, self._standing.airborne(now_ns), self._seen_last(around), now_ns)
         for vehicle in (roster.lands & fleet.armed).nonzero()[0].tolist():
             if self._commands.pending(vehicle) or not self._asking.due(vehicle, now_ns):
@@ -224,7 +224,7 @@ class Landing:
             led=around.led & ~sinks,
             wanted=roster.lands & ~down,
             coming=around.coming & roster.ours,
-            hurries=np.asarray(fleet.battery_remaining < _HURRY * self._plan.limits.battery_land) | self._in_the_dark(),
+            hurries=np.asarray(fleet.battery_remaining < _HURRY * self._plan.limits.battery_land) | self.in_the_dark,
         )
 
     def _seen_last(self, around: Around) -> FloatArray:
@@ -232,7 +232,8 @@ class Landing:
         room = self._fleet.room
         return around.poses.pos_team_ned_m if room is None else room.pos_ned_m
 
-    def _in_the_dark(self) -> bool:
+    @property
+    def in_the_dark(self) -> bool:
         """Whether the motion capture is gone for everybody: whoever waits in the air then drifts, each its own way."""
         return self._fleet.room is not None and self._fleet.room.gone
 
