@@ -57,6 +57,16 @@ def test_a_gain_that_the_lag_does_not_allow_is_told() -> None:
     assert "the team may swing" in told[0]
 
 
+def test_it_is_held_against_the_gain_that_would_be_flown() -> None:
+    """The automatic one, with the tick and tilted views in it: twice that is told and no less."""
+    flown = load_mission(MISSIONS / "cube8.yaml").control_gain
+    assert advice(load_mission(MISSIONS / "cube8.yaml", [f"gain={1.98 * flown}"])) == []
+    (told,) = advice(load_mission(MISSIONS / "cube8.yaml", [f"gain={2.5 * flown}"]))
+    assert f"is 2.5 times what lag and delay of crazyflie allow ({flown:.2g})" in told
+    strong = load_mission(MISSIONS / "px4_cube8.yaml", ["scale.gain=2.5"])
+    assert f"to {strong.control_gain:.2g} and the team forms that much later" in advice(strong)[0]
+
+
 @pytest.mark.parametrize(
     ("sensing", "words"),
     [

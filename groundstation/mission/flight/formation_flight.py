@@ -12,13 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.control import (
-    Task,
-    auto_control_gain,
-    most_for_tilted_views,
-    rate_for_auto_gain_1_s,
-    task_for_roles,
-)
+from groundstation.core.control import Task, task_for_roles
 from groundstation.core.formation import Formation
 from groundstation.core.gridlock import GridlockParams, Gridlocks, Sensed
 from groundstation.core.metrics import free_scale_error_m, team_error_m, vertical_orientation
@@ -37,6 +31,7 @@ from groundstation.mission.flight.step import Now, StepFlight
 from groundstation.mission.flight.steps import step_flight
 from groundstation.mission.flight.under_way import UnderWay
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.profiles import bearable_gain
 from groundstation.mission.plan.stages import roles_for
 from groundstation.mission.roster import Duties
 from groundstation.mission.verdict import Figures
@@ -214,10 +209,15 @@ class FormationFlight:
         if some(missing):
             task, smaller, gains = task_for_those_left(stage.formation, stage.shape.gains, roles, missing)
             # Neighbours of a missing one have become neighbours of each other: the loop may be faster than before.
-            rate_1_s = rate_for_auto_gain_1_s(smaller, gains, stage.scale, stage.upright_1_s)
-            delay_s = plan.profile.delay_s + 1.0 / plan.spec.rate_hz
-            able = auto_control_gain(rate_1_s, plan.profile.lag_s, delay_s, plan.lead_s)
-            self._able_gain = min(able, most_for_tilted_views(smaller, gains, plan.profile.lag_s))
+            self._able_gain = bearable_gain(
+                smaller,
+                gains,
+                stage.scale,
+                stage.upright_1_s,
+                profile=plan.profile,
+                rate_hz=plan.spec.rate_hz,
+                lead_s=plan.lead_s,
+            )
         else:
             task = task_for_roles(stage.formation, stage.shape.gains, roles)
             self._able_gain = np.inf

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.control import ScaleFunction, auto_control_gain, fitting_scale_gain, rate_for_auto_gain_1_s
+from groundstation.core.control import ScaleFunction, fitting_scale_gain, rate_for_auto_gain_1_s
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.plan.profiles import bearable_gain
 from groundstation.mission.plan.stages import Stage
 
 _ZERO_1_S = 5e-6  # a design whose slowest mode is not above 1e-5 is refused
@@ -80,12 +81,15 @@ def _tuned(plan: MissionPlan, stage: Stage) -> list[str]:
     def rate_1_s(scale: ScaleFunction) -> float:
         return rate_for_auto_gain_1_s(shape.formation, shape.gains, scale, stage.upright_1_s)
 
-    def gain(rate: float) -> float:
-        return auto_control_gain(rate, profile.lag_s, profile.delay_s, plan.lead_s)
+    def gain(scale: ScaleFunction) -> float:
+        formation, gains, upright_1_s = shape.formation, shape.gains, stage.upright_1_s
+        return bearable_gain(
+            formation, gains, scale, upright_1_s, profile=profile, rate_hz=spec.rate_hz, lead_s=plan.lead_s
+        )
 
     with_f, without = rate_1_s(stage.scale), rate_1_s(ScaleFunction("free"))
     if spec.gain != "auto":
-        fits = gain(with_f)
+        fits = gain(stage.scale)
         if spec.gain <= _MUCH * fits:
             return []
         return [
@@ -94,9 +98,10 @@ def _tuned(plan: MissionPlan, stage: Stage) -> list[str]:
         ]
     if stage.scale.kind == "free" or without <= 0.0 or with_f <= _MUCH * without:
         return []
+    before = gain(ScaleFunction("free"))
     better = fitting_scale_gain(shape.formation, shape.gains, stage.scale.kind, stage.upright_1_s)
     return [
         f"{stage.key}: f of (14) with scale.gain {stage.scale.gain:g} is too strong for the distances of"
-        f" {stage.formation.name}: k falls from {gain(without):.2g} to {gain(with_f):.2g} and the team forms that much"
+        f" {stage.formation.name}: k falls from {before:.2g} to {gain(stage.scale):.2g} and the team forms that much"
         f" later; leave scale.gain out, it is then {better:.2g}"
     ]

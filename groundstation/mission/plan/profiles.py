@@ -10,6 +10,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
 from groundstation.core.compensation import AxisResponse, Response
+from groundstation.core.control import (
+    ScaleFunction,
+    auto_control_gain,
+    most_for_tilted_views,
+    rate_for_auto_gain_1_s,
+)
+from groundstation.core.formation import Formation, Gains
 from groundstation.core.wind import Airframe
 from groundstation.mission.plan.schema import MissionSpec
 
@@ -157,3 +164,32 @@ def slowest(profiles: Iterable[VehicleProfile]) -> VehicleProfile:
 def _worst(frames: Sequence[Airframe]) -> Airframe:
     """The worst of each figure."""
     return Airframe(*(max(getattr(frame, field.name) for frame in frames) for field in fields(Airframe)))
+
+
+def bearable_gain(
+    formation: Formation,
+    gains: Gains,
+    scale: ScaleFunction,
+    upright_1_s: float,
+    *,
+    profile: VehicleProfile,
+    rate_hz: float,
+    lead_s: float,
+) -> float:
+    """The control gain that a team bears: by its lag, delay and tick, and by views that tilt with its vehicles.
+
+    Args:
+        formation: points and graph, by role.
+        gains: by role.
+        scale: f of (14).
+        upright_1_s: weight of the upright term.
+        profile: of the slowest vehicle.
+        rate_hz: ticks a second.
+        lead_s: how far ahead motion counts in the law.
+
+    Raises:
+        ValueError: nothing pulls the vehicles.
+    """
+    rate_1_s = rate_for_auto_gain_1_s(formation, gains, scale, upright_1_s)
+    by_lag = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s + 1.0 / rate_hz, lead_s)
+    return min(by_lag, most_for_tilted_views(formation, gains, profile.lag_s))

@@ -16,20 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.core.assignment import assign_roles
-from groundstation.core.control import (
-    ScaleFunction,
-    auto_control_gain,
-    fitting_scale_gain,
-    most_for_tilted_views,
-    rate_for_auto_gain_1_s,
-)
+from groundstation.core.control import ScaleFunction, fitting_scale_gain
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
-from groundstation.mission.plan.profiles import VehicleProfile
+from groundstation.mission.plan.profiles import VehicleProfile, bearable_gain
 from groundstation.mission.plan.schema import MissionSpec, ScaleSpec
 from groundstation.mission.plan.timed import timed
 
@@ -164,10 +158,16 @@ def make_stage(
     if gain == "auto":
         gain = fitting_scale_gain(shape.formation, shape.gains, law.kind, upright_1_s)
     function = ScaleFunction(kind=law.kind, gain=gain)
-    rate_1_s = rate_for_auto_gain_1_s(shape.formation, shape.gains, function, upright_1_s)
-    level = most_for_tilted_views(shape.formation, shape.gains, profile.lag_s)
     try:
-        automatic = auto_control_gain(rate_1_s, profile.lag_s, profile.delay_s + 1.0 / spec.rate_hz, lead_s)
+        automatic = bearable_gain(
+            shape.formation,
+            shape.gains,
+            function,
+            upright_1_s,
+            profile=profile,
+            rate_hz=spec.rate_hz,
+            lead_s=lead_s,
+        )
     except ValueError as error:
         at = "" if key == "formation" or scale is None else f"{key}."
         strength = "" if law.kind == "free" else f", gain {gain:g}"
@@ -179,7 +179,7 @@ def make_stage(
     return Stage(
         key=key,
         shape=shape,
-        control_gain=min(automatic, level) if spec.gain == "auto" else spec.gain,
+        control_gain=automatic if spec.gain == "auto" else spec.gain,
         scale=function,
         upright_1_s=upright_1_s,
         assignment=chosen,
