@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from groundstation.app.resources import packaged_configs
 from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mission.flight import guidance
 from groundstation.mission.flight.formation_flight import FormationFlight
 from groundstation.mission.flight.guidance import Guide
 from groundstation.mission.flight.helm import Helm
@@ -182,3 +185,36 @@ def test_a_wall_holds_up_a_move() -> None:
     ended = str(team.ends())
     assert ended.startswith("move not finished: ")
     assert ended.endswith("the fence is in the way")
+
+
+def test_large_teams_form_the_same_without_a_view_of_everybody_by_everybody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the law is shown smoothed places, as it always is."""
+    configs, rng = packaged_configs(), np.random.default_rng(5)
+    pads = [[east, north, 0.0] for east in range(8) for north in range(8)]
+    vehicles = [{"id": k + 1, "link": "udpin://127.0.0.1:14540", "pad_m": pad} for k, pad in enumerate(pads)]
+    team = Team(
+        f"formation={configs / 'formations' / 'grid64.yaml'}",
+        f"gains={configs / 'gains' / 'grid64.npz'}",
+        f"vehicles={json.dumps(vehicles)}",
+        "fence={min_m: [-9, -9, 0], max_m: [16, 16, 20]}",
+        "steps.0.form.tolerance_m=0.15",
+        "failsafe={action: hold}",
+    )
+    team.pos = team.pos + rng.normal(scale=0.1, size=team.pos.shape)
+    team.vel = rng.normal(scale=0.1, size=team.vel.shape)
+    poses = team.poses()
+    told = {}
+    for square in (False, True):
+        if square:
+            monkeypatch.setattr(guidance, "_MANY", 65)
+        else:
+            monkeypatch.setattr(guidance, "local_views", None)
+        flight = FormationFlight(
+            team.plan, enlist(team.plan), Helm(Guide(team.plan), 64), Figures(), lambda kind, text, given: None
+        )
+        flight.assign(first_roles(team.plan))
+        flight.next_step(0, poses)
+        told[square] = flight.step(0, poses).vel_ned_m_s
+        monkeypatch.undo()
+    assert np.linalg.norm(told[True], axis=1).max() > 0.01
+    np.testing.assert_allclose(told[False], told[True], atol=1e-9)

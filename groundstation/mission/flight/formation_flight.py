@@ -260,6 +260,7 @@ class FormationFlight:
         forming = follows is None and doing.swaps
         points_m = self._now.formation.points_enu_m[self.role_of_agent]
         kept = self._now.keeper.motion(pos_enu_m, counts, points_m)
+        places_ned_m = self._eyes.places_ned_m(now_ns, poses)
         course = Course(
             stage=self._now.stage,
             control_gain=self._control_gain(),
@@ -268,7 +269,8 @@ class FormationFlight:
             detour_enu_m_s=_detours(self._gridlocks, poses) if forming else None,
             motion=added(tick.motion, kept),
             present=tick.present,
-            sight=self._eyes.look(now_ns, poses, self._task.neighbours),
+            places_ned_m=places_ned_m,
+            sight=self._eyes.sight(now_ns, poses, places_ned_m, self._task.neighbours),
         )
         guidance = self._helm.formation(poses, self._sized_task(self._task), course)
         for words in self._helm.guide.take_words():

@@ -69,7 +69,8 @@ class Course:
         motion: what the formation does as one; None at rest.
         present: the part of it that shows in velocities already.
         members: agents that fly the formation, shape (n,); None for all.
-        sight: what the law is shown, if that is not the poses: smoothed places, or agents' own sensors that see less.
+        places_ned_m: where the law is shown everybody, smoothed, shape (n, 3); None where the poses say.
+        sight: what agents' own sensors see of those places; None where they see all neighbours.
     """
 
     stage: Stage
@@ -79,6 +80,7 @@ class Course:
     motion: Motion | None = None
     present: Motion | None = None
     members: BoolArray | None = None
+    places_ned_m: FloatArray | None = None
     sight: Sight | None = None
 
 
@@ -161,8 +163,8 @@ class Guide:
             views = views_of(pos_ned_m, poses.vel_ned_m_s, rot_ned_from_flu, shown, task.neighbours)
         else:
             views = local_views(poses.pos_team_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours)
-        motion = course.motion
-        seen, common_enu = views if course.sight is None else course.sight.views, None
+        motion, common_enu = course.motion, None
+        seen = self._shown(poses, views, task, course, shown)
         if motion is not None:
             places = self._places(poses, views, course, shown)
             common_enu = motion.rigid(places.from_centre_m)
@@ -190,6 +192,17 @@ class Guide:
             own_avoidance=self._own_avoidance,
             method=self._plan.spec.avoidance,
         )
+
+    def _shown(self, poses: Poses, views: LocalViews, task: Task, course: Course, who: IntArray | None) -> LocalViews:
+        """What the law is shown of the neighbours: by their sensors, by smoothed places, or as the views are."""
+        if course.sight is not None:
+            return course.sight.views
+        if course.places_ned_m is None:
+            return views
+        vel_ned_m_s, rot_ned_from_flu = poses.vel_ned_m_s, poses.rot_ned_from_flu
+        if who is not None:
+            return views_of(course.places_ned_m, vel_ned_m_s, rot_ned_from_flu, who, task.neighbours)
+        return local_views(course.places_ned_m, vel_ned_m_s, poses.quat_ned_from_frd, task.neighbours, rot_ned_from_flu)
 
     def _law(self, views: LocalViews, task: Task, course: Course) -> FloatArray:
         """What the law wishes: (14), or one of the mission's own in its place; shape (n, 3), body FLU."""

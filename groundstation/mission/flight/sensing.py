@@ -53,18 +53,16 @@ class Eyes:
         sensing, ids = plan.spec.sensing, [vehicle.id for vehicle in plan.spec.vehicles]
         self._sensing = None if sensing is None else Sensing(sensing, ids, tell)
 
-    def look(self, now_ns: int, poses: Poses, neighbours: BoolArray) -> Sight:
-        """What every agent has of its neighbours, shape (n, n), at a tick."""
+    def places_ned_m(self, now_ns: int, poses: Poses) -> FloatArray:
+        """Where it is shown everybody at a tick, shape (n, 3)."""
         poor = poses.vel_error_m_s > 0.0
-        places_ned_m = self._smoothed(
-            now_ns / SECOND_NS, poses.pos_team_ned_m, poses.vel_ned_m_s, poses.carried_s, poor
-        )
-        if self._sensing is not None:
-            return self._sensing.look(now_ns, replace(poses, pos_team_ned_m=places_ned_m), neighbours)
-        views = local_views(
-            places_ned_m, poses.vel_ned_m_s, poses.quat_ned_from_frd, neighbours, poses.rot_ned_from_flu
-        )
-        return Sight(views, np.zeros(len(places_ned_m), dtype=np.bool_))
+        return self._smoothed(now_ns / SECOND_NS, poses.pos_team_ned_m, poses.vel_ned_m_s, poses.carried_s, poor)
+
+    def sight(self, now_ns: int, poses: Poses, places_ned_m: FloatArray, neighbours: BoolArray) -> Sight | None:
+        """What agents' own sensors see of those places, shape (n, n); None where they see all neighbours."""
+        if self._sensing is None:
+            return None
+        return self._sensing.look(now_ns, replace(poses, pos_team_ned_m=places_ned_m), neighbours)
 
 
 class Sensing:
