@@ -7,12 +7,11 @@ matplotlib.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 
+from groundstation.app.flight_picture import Picture
 from groundstation.app.picture_style import BLUE, INK, QUIET, SERIES, STYLE
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.records.replay import Flight, Phase
@@ -47,25 +46,6 @@ PAPER_STYLE = STYLE | {
 """matplotlib's rc settings for these: type of 8 points, fonts embedded or drawn."""
 _SHOTS = 4
 _INSTANTS = 1500
-
-
-@dataclass(frozen=True)
-class PaperFigure:
-    """One of them.
-
-    Attributes:
-        stem: of its files.
-        title: heading on the page.
-        text: what it shows.
-        size_in: width and height in inches.
-        draw: draws the flight into an empty figure.
-    """
-
-    stem: str
-    title: str
-    text: str
-    size_in: tuple[float, float]
-    draw: Callable[[Figure, Flight], None]
 
 
 def _span(flight: Flight) -> tuple[int, int, int] | None:
@@ -196,21 +176,21 @@ def figure_5(figure: Figure, flight: Flight) -> None:
 
 
 PAPER_FIGURES = (
-    PaperFigure(
+    Picture(
         "paper_fig2",
         "Figure 2",
         "The formation with its sensing graph, and the team at the end of its hold; colours are roles.",
         (COLUMN_IN, 2.0),
         figure_2,
     ),
-    PaperFigure(
+    Picture(
         "paper_fig4",
         "Figure 4",
         "The team while it forms, and its whole way with the sensing graph.",
         (PAGE_IN, 1.7),
         figure_4,
     ),
-    PaperFigure(
+    Picture(
         "paper_fig5",
         "Figure 5",
         "All distances between vehicles, from the beginning of forming to the end of the hold; r is dashed, the line"

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from groundstation.app.flight_picture import Picture
 from groundstation.app.paper_figures import PAPER_FIGURES, PAPER_STYLE
 from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE
 from groundstation.app.pictures import save_picture
@@ -41,25 +41,6 @@ _STYLE: dict[Any, Any] = STYLE | {
     "xtick.color": INK,
     "ytick.color": INK,
 }
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One picture of the report.
-
-    Attributes:
-        file: its name in the report's folder.
-        title: heading on the page.
-        text: what it shows, one sentence.
-        size_in: width and height in inches.
-        draw: draws the flight into an empty figure.
-    """
-
-    file: str
-    title: str
-    text: str
-    size_in: tuple[float, float]
-    draw: Callable[[Figure, Flight], None]
 
 
 def claim_report(folder: Path, *, force: bool, also: Sequence[str] = ()) -> bool:
@@ -92,8 +73,7 @@ def claim_report(folder: Path, *, force: bool, also: Sequence[str] = ()) -> bool
 
 def _files(folder: Path, picture: Picture, also: Sequence[str]) -> list[Path]:
     """A picture's files: the one of the page, and those of further kinds."""
-    shown = folder / picture.file
-    return [shown, *(shown.with_suffix(f".{kind}") for kind in also)]
+    return [folder / f"{picture.stem}.{kind}" for kind in ("png", *also)]
 
 
 def _paper_files(folder: Path, also: Sequence[str]) -> list[Path]:
@@ -411,28 +391,28 @@ def _draw_setpoints(figure: Figure, flight: Flight) -> None:
 
 PICTURES = (
     Picture(
-        "trajectories.png",
+        "trajectories",
         "Trajectories",
         "Reported positions in the team's frame, and the sensing graph between the vehicles that hold its roles.",
         (12.0, 8.0),
         _draw_trajectories,
     ),
     Picture(
-        "distances.png",
+        "distances",
         "Distances",
         "Distances between all pairs of vehicles, from reported positions brought to the same instants.",
         (12.0, 6.4),
         _draw_distances,
     ),
     Picture(
-        "formation_error.png",
+        "formation_error",
         "Formation error",
         "The largest deviation of any distance from the formation's, under the roles of that time.",
         (12.0, 5.4),
         _draw_error,
     ),
     Picture(
-        "setpoints.png",
+        "setpoints",
         "Velocity setpoints",
         "What the ground station asked each vehicle for, by direction.",
         (12.0, 8.4),
