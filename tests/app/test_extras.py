@@ -16,7 +16,7 @@ from tests.app.commands import gs
 
 _ROOT = Path(__file__).parents[2]
 _PROJECT = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-_IMPORTED_AS = {"pyyaml": "yaml", "pyserial": "serial", "rerun-sdk": "rerun"}
+_IMPORTED_AS = {"pyyaml": "yaml", "pyserial": "serial", "rerun-sdk": "rerun", "foxglove-sdk": "foxglove"}
 _ALONE = {"rerun"}  # too large for whoever wants all
 _PART_OF = {"dask": "distributed", "fastapi": "nicegui", "uvicorn": "nicegui"}  # come with it
 
@@ -75,6 +75,12 @@ def test_what_an_extra_brings_is_what_the_program_says_of_it() -> None:
         (["export", "flight", "--to", "parquet", "-o", "out"], "pyarrow", "export"),
         (["export", "flight", "--to", "mcap", "-o", "out"], "mcap", "export"),
         (["export", "flight", "--to", "rrd", "-o", "out"], "rerun", "rerun"),
+        (
+            ["fly", "--mission", "first_flight2", "--dry-run", "--realtime", "--stream", "foxglove"],
+            "foxglove",
+            "foxglove",
+        ),
+        (["console", "--stream", "foxglove"], "foxglove", "foxglove"),
         (["bench", "codec"], "pymavlink", "mavlink"),
         (["sitl", "--signing", "some.key"], "pymavlink", "mavlink"),
         (["console"], "nicegui", "console"),

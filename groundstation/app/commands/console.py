@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +16,7 @@ from rich.text import Text
 
 from groundstation.app.commands.command import choose_flight
 from groundstation.app.completing import logs, packaged
+from groundstation.app.options import StreamOption, check_stream
 from groundstation.app.order_client import flights, runtime_folder
 from groundstation.app.output import Output
 from groundstation.core.errors import UserError
@@ -22,6 +25,7 @@ from groundstation.core.extras import need
 if TYPE_CHECKING:
     from groundstation.app.console.serving import Place
 
+_PORT = 8088
 _LOOPBACK = ("127.0.0.1", "localhost")
 
 
@@ -46,16 +50,32 @@ def console(
         Path | None,
         typer.Option("--tiles", help="Folder with tiles for the map, ZOOM/X/Y.png; without it the map is a grid."),
     ] = None,
+    stream: StreamOption = None,
     host: Annotated[str, typer.Option(help="Address to serve at; this machine alone by default.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to serve at; 0 for one that is free.", min=0, max=65535)] = 8088,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            help="Port to serve at; 0 for one that is free. 8088, for Foxglove 8765.",
+            min=0,
+            max=65535,
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Shows a flight that was begun with gs fly --console in a browser, and takes orders for it; replays logs; edits.
 
     Two addresses are printed: whoever has the operator's may give orders, whoever has the viewer's may look. The flight
     goes on whatever becomes of the console.
     """
-    need("console", "gs console")
     out = Output(as_json=False)
+    if stream is not None:
+        check_stream(stream)
+        if log or edit is not None or tiles is not None:
+            raise UserError("--stream shows what is under way; leave out --log, --edit and --tiles")
+        _stream(out, stream, flight, host, port)
+        return
+    need("console", "gs console")
+    port = _PORT if port is None else port
     if edit is not None:
         if log or flight is not None:
             raise UserError("--edit makes a mission, --log and --flight show what is flown; give one of them")
@@ -73,6 +93,49 @@ def console(
         keys = place.keys()
         _tell(out, place, host, {"operator": keys.operator, "viewer": keys.viewer})
         serve_flight(place, keys, path, int(about["pid"]), ground)
+
+
+def _stream(out: Output, to: str, flight: str | None, host: str, port: int | None) -> None:
+    """Streams a flight that is under way until it is over; has no page, and takes no orders.
+
+    Raises:
+        UserError: the extra is missing, or it cannot listen there.
+        CheckFailed: there is no such flight.
+    """
+    from groundstation.app.console.beside import HOST, PORT
+
+    need(to, f"--stream {to}")
+    if host not in _LOOPBACK:
+        raise UserError(
+            f"--stream {to} --host {host}: anybody there could look on, for Foxglove has no keys; leave --host out and"
+            f" tunnel: ssh -L {port or PORT}:{HOST}:{port or PORT} {socket.gethostname()}"
+        )
+    from groundstation.app.console.feed import Feed, remove_dead
+    from groundstation.app.console.streaming import Streamer, stream
+
+    folder = runtime_folder(os.environ, Path.home())
+    # Whoever gives a process id means that process, which may be about to begin.
+    known = int(flight) if flight is not None and flight.isdecimal() else None
+    pid = int(choose_flight(*flights(folder), flight)[1]["pid"]) if known is None else known
+    remove_dead(folder)
+    feed = Feed(folder, pid)
+    try:
+        streamer = Streamer(PORT if port is None else port)
+        out.console.print(Text(f"Foxglove: open the connection ws://{HOST}:{streamer.port}"))
+        sys.stdout.flush()  # gs fly waits for it
+        out.console.print(Text(_from_afar(HOST, streamer.port)))
+        out.console.print(Text(stream(feed, streamer, lambda: _is_there(pid), time.time_ns)))
+        streamer.close()
+    finally:
+        feed.close()
+
+
+def _is_there(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except OSError:
+        return False
+    return True
 
 
 def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, port: int) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from groundstation.app.options import ForceOption, JsonOption, MissionOption, SetOption
+from groundstation.app.options import ForceOption, JsonOption, MissionOption, SetOption, StreamOption, check_stream
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, PreflightRefused, UserError
 
@@ -49,6 +49,7 @@ def fly(
     console: Annotated[
         bool, typer.Option("--console", help="Show the flight to gs console, in another terminal; on the wall clock.")
     ] = False,
+    stream: StreamOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -59,6 +60,7 @@ def fly(
     Keys at a terminal: h hold, r resume, b back to the pads, l land, k kill; from another one: gs command.
     Ctrl-C once: everybody stops, comes back and lands. Twice: setpoints stop, the autopilots' own failsafe acts.
     """
+    from groundstation.app.console.beside import streamed
     from groundstation.app.emulator import read_faults
     from groundstation.app.flying import (
         check_method,
@@ -77,8 +79,10 @@ def fly(
     out = Output(as_json=as_json)
     if (realtime or udp) and not dry_run:
         raise UserError("--realtime and --udp go with --dry-run; a flight on vehicles is on the wall clock anyway")
-    if console and dry_run and not (realtime or udp):
-        raise UserError("--console: a dry run in virtual time is over before anybody could look; add --realtime")
+    check_stream(stream)
+    if (console or stream) and dry_run and not (realtime or udp):
+        option = "--stream" if stream else "--console"
+        raise UserError(f"{option}: a dry run in virtual time is over before anybody could look; add --realtime")
     if wait and (take_over or (dry_run and not (realtime or udp))):
         raise UserError(
             "--wait is for teams that stand on their pads, on the wall clock: without --take-over, a dry run with"
@@ -102,21 +106,25 @@ def fly(
     if replaced:
         out.console.print(Text(f"replaces {log_path}"))
     started = time.monotonic()
-    if dry_run and not udp:
-        values = fly_dry(out, plan, log_path, timetable, seed=seed, realtime=realtime, console=console)
-    else:
-        values = fly_vehicles(
-            out,
-            plan,
-            log_path,
-            timetable,
-            emulated_seed=seed if dry_run else None,
-            take_over=take_over,
-            give_back=give_back,
-            replace_log=replaced,
-            bare=bare,
-            console=console,
-        )
+    shown = console or stream is not None
+    with streamed(stream) as said:
+        if said:
+            out.console.print(Text(said))
+        if dry_run and not udp:
+            values = fly_dry(out, plan, log_path, timetable, seed=seed, realtime=realtime, console=shown)
+        else:
+            values = fly_vehicles(
+                out,
+                plan,
+                log_path,
+                timetable,
+                emulated_seed=seed if dry_run else None,
+                take_over=take_over,
+                give_back=give_back,
+                replace_log=replaced,
+                bare=bare,
+                console=shown,
+            )
     refused, beside = values.pop("refused"), values.pop("beside")
     values["wall_s"] = round(time.monotonic() - started, 3)
     tell_flight(out, values | beside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 from collections import deque
 from pathlib import Path
@@ -100,6 +101,10 @@ class Feed:
         """Stops listening."""
         self._socket.close()
         self._path.unlink(missing_ok=True)
+
+    def wait(self, timeout_s: float) -> None:
+        """Until something has come, or for so long."""
+        select.select([self._socket], [], [], timeout_s)
 
     def read(self) -> None:
         """Takes what has come."""
