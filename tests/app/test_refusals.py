@@ -121,8 +121,23 @@ def test_one_that_acknowledges_land_and_stays_up_is_told_with_its_place_and_what
     mode, land = (("OFFBOARD", "land"), ("GUIDED", "LAND mode"))[vehicle]
     assert reason.startswith(f"vehicle {vehicle + 1}: still armed after 15 s of landing, in the air, ")
     assert f" m above its pad, in mode {mode}: it acknowledged {land} and does not do it; setpoints stop now" in reason
+    assert "its own failsafe lands it where it is; take it over" in reason
     assert "take it over by remote control" in reason
     assert f"kill {vehicle + 1} stops its motors" in reason
+
+
+@pytest.mark.usefixtures("soon")
+def test_one_that_would_hover_is_not_said_to_come_down_by_itself() -> None:
+    """With ``failsafe.action: hold`` nobody comes down before the battery is low; the words have to say so."""
+
+    def deaf(flight: Flight) -> bool:
+        if flight.runner.phase is Phase.LAND:
+            for command in (21, 176):
+                flight.world.autopilots[1].commands[command] = lambda _params, _frame: 4
+        return False
+
+    flight = Flight(pair("steps.1.hold.seconds=1", "failsafe.action=hold"), interrupt_when=deaf)
+    assert "setpoints stop now: its own failsafe lets it hover until its battery is low" in flight.runner.reason
 
 
 @pytest.mark.usefixtures("soon")

@@ -292,13 +292,14 @@ class Landing:
         perhaps: BoolArray = self._fleet.armed | (self._fleet.heartbeat_ns <= since_ns)
         return perhaps & self._roster.ours & ~given_up
 
-    def words_of_late(self, vehicle: int, height_m: float, waited_s: float) -> str:
+    def words_of_late(self, vehicle: int, height_m: float, waited_s: float, left_alone: str) -> str:
         """Says of one that is still armed when nobody waits any longer where it is, what it does, and what is left.
 
         Args:
             vehicle: which one.
             height_m: above its pad, NaN where not known.
             waited_s: since landing began.
+            left_alone: what its own failsafe does with it when setpoints stop.
         """
         fleet, sysid = self._fleet, self._fleet.sysid[vehicle]
         autopilot = self._plan.autopilots[vehicle]
@@ -315,7 +316,7 @@ class Landing:
             where = f"in the air, {height}, in mode {autopilot.mode_name(mode)}"
             does = f"it sinks in mode {autopilot.mode_name(mode)}" if autopilot.is_landing_mode(mode) else does
             left = (
-                "setpoints stop now, and its own failsafe acts; take it over by remote control, or clear the place and"
-                f" fly again with --take-over (there, kill {sysid} stops its motors: it falls)"
+                f"setpoints stop now: its own failsafe {left_alone}; take it over by remote control, or clear the place"
+                f" and fly again with --take-over (there, kill {sysid} stops its motors: it falls)"
             )
         return f"vehicle {sysid}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"

@@ -39,6 +39,13 @@ _TURN_S = 1.0  # that heartbeats and clocks may be apart
 _LAST_TURN_S, _WAIT_MAX_S = 110.0, 60.0  # limits of FS_GCS_TIMEOUT and RTL_LOIT_TIME
 _SINK_M_S = 0.4  # near the ground, at least
 
+_LEFT_ALONE = {
+    "return": "brings it back",
+    "land": "lands it where it is",
+    "hold": "lets it hover until its battery is low",
+    "own": "does what its own parameters say",
+}
+
 
 @dataclass(frozen=True)
 class FailsafePlan:
@@ -61,6 +68,11 @@ class FailsafePlan:
     down_s: float
     words: str
     problem: str | None
+
+    @property
+    def left_alone(self) -> str:
+        """What an autopilot's own failsafe does with a vehicle in the air when setpoints stop, for people."""
+        return _LEFT_ALONE[self.action]
 
 
 def first_roles(plan: MissionPlan) -> IntArray:

@@ -83,7 +83,7 @@ class _ComingDown(PhaseState):
     def _tell_late(self, up: BoolArray, poses: Poses) -> None:
         """Says of those that are still up when nobody waits any longer what is left to do."""
         team, waited_s = self._team, self._down_max_ns() // SECOND_NS
-        killed = team.roster.killed
+        killed, alone = team.roster.killed, team.preflight.checks.failsafe.left_alone
         height_m = team.height_m(poses.pos_team_ned_m)
         for vehicle in np.flatnonzero(up & killed).tolist():
             team.verdict.abort(
@@ -91,7 +91,7 @@ class _ComingDown(PhaseState):
                 f" after {waited_s:g} s; {_KEEP_CLEAR}"
             )
         for vehicle in np.flatnonzero(up & ~killed).tolist():
-            team.verdict.abort(team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s))
+            team.verdict.abort(team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s, alone))
 
     def _names(self, who: BoolArray) -> str:
         return vehicle_list(self._team.fleet.sysid[who].tolist())
