@@ -19,6 +19,7 @@ _MOST_OBSTACLES = 8
 _MOST_BODIES = 4
 _CLEAR = 1.03  # ways keep this many times the distance asked for, points lie at _BESIDE times
 _BESIDE = 1.12
+_WIDER = 1.7  # where points so near leave no way: lines between them pass too near the ball that they surround
 _LEFT = 0.1  # length added per metre that a point lies to the left: two agents head on both turn to their right
 
 
@@ -59,16 +60,33 @@ def way_round(
     Returns:
         Points to fly to one after the other, the goal last, shape (p, 3); None where there is no way.
     """
+    for beside in (_BESIDE, _WIDER):
+        way = _way(goal_m, others_m, keep_out_m, beside * keep_out_m, box_m=(low_m, high_m), obstacles=obstacles)
+        if way is not None:
+            return way
+    return None
+
+
+def _way(
+    goal_m: FloatArray,
+    others_m: FloatArray,
+    keep_out_m: float,
+    beside_m: float,
+    *,
+    box_m: tuple[FloatArray, FloatArray],
+    obstacles: Obstacles | None,
+) -> FloatArray | None:
+    """One try, over points ``beside_m`` from the middle of every ball."""
     keep_m = _CLEAR * keep_out_m
     along = np.clip(others_m @ goal_m / max(float(goal_m @ goal_m), 1e-12), 0.0, 1.0)
     off = np.linalg.norm(others_m - along[:, None] * goal_m, axis=1)
     others = others_m[np.argsort(off, kind="stable")[:_MOST_OBSTACLES]]
-    beside = (others[:, None] + _BESIDE * keep_out_m * _SPREAD[None]).reshape(-1, 3)
+    beside = (others[:, None] + beside_m * _SPREAD[None]).reshape(-1, 3)
     bodies = _on_the_way(obstacles, goal_m)
     if obstacles is not None and bodies:
         around = [body.around_m(obstacles.keep_m) for body in bodies]
         beside = np.concatenate([beside, *around])
-    inside = np.all((beside >= low_m) & (beside <= high_m), axis=1)
+    inside = np.all((beside >= box_m[0]) & (beside <= box_m[1]), axis=1)
     clear = np.all(np.linalg.norm(beside[:, None] - others[None], axis=2) >= keep_m, axis=1)
     if obstacles is not None and bodies:
         clear &= clear_of(bodies, beside, _CLEAR * obstacles.keep_m)
