@@ -26,6 +26,7 @@ def test_a_log_that_is_kept_is_flown_again_to_the_bit_and_nothing_is_done_twice_
     calls = count_calls(monkeypatch) if name in COUNTED else None
     result = verify_log(unpack(name, tmp_path))
     assert (result.mismatches, result.complete) == (0, True), "changed on purpose? then `make refs`, and say so"
+    assert result.rounded <= result.frames // 200, "more than another processor's rounding"
     known = known_figures()[name]
     assert result.setpoints == known["setpoints"]
     assert (result.setpoints > 0) == (known["outcome"] != "refused")

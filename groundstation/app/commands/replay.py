@@ -63,6 +63,7 @@ def replay(
             "ticks": result.ticks,
             "frames_compared": result.frames,
             "setpoints": result.setpoints,
+            "rounded": result.rounded,
             "mismatches": mismatches,
             "max_error_m_s": result.max_error_m_s,
             "complete": result.complete,
