@@ -25,7 +25,7 @@ from groundstation.records.admission import Admission, of_mission
 from groundstation.records.manifest import Manifest, Values, manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
 from groundstation.records.tlog import TlogReader, read_tlog
-from groundstation.records.tracks import VehicleTrack, tracks_of, vectors
+from groundstation.records.tracks import VehicleTrack, anchor_of, tracks_of, vectors
 
 _FORMATION_EVENT = re.compile(r"info: formation of step (\d{1,6}): .+, scale (changing|free|[0-9.e+-]+)$")
 """Tells from which step the formation is from then on, and by how much it has grown since."""
@@ -87,6 +87,8 @@ class Flight:
         message: what of the log could not be read, None when all could.
         notes: what people have to know of the figures: clocks that were set, positions by GPS.
         contents: what is in the log instead, a line for each sender; where no vehicle tells positions.
+        anchor_deg_m: where on earth the team's frame begins: latitude, longitude, height, shape (3,); None where that
+            is not known.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Flight:
     message: str | None
     notes: tuple[str, ...] = ()
     contents: tuple[str, ...] = ()
+    anchor_deg_m: FloatArray | None = None
 
     @property
     def useful(self) -> bool:
@@ -316,6 +319,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
         message=reader.message,
         notes=tuple(notes),
         contents=() if any(len(item.t_ns) for item in vehicles) else tuple(reader.survey().words()),
+        anchor_deg_m=anchor_of(path, mission, vehicles, admission.places()),
     )
 
 

@@ -140,6 +140,45 @@ def _from_places(places: Reports, settled_ns: int | None, mission: Values) -> Re
     return Reports(places.t_ns, places.vehicle, places.boot_ms, position, places.vel_ned_m_s)
 
 
+def anchor_of(path: Path, mission: Values, tracks: Sequence[VehicleTrack], places: Reports) -> FloatArray | None:
+    """Where on earth the frame of the tracks begins.
+
+    The mission says it, or a vehicle whose place in that frame is known says where on earth it was at the same moment.
+    A team that is not flown by GPS has no such place, whatever its vehicles may believe.
+
+    Args:
+        path: of the log, for messages.
+        mission: of the manifest; empty without one.
+        tracks: of the vehicles.
+        places: GLOBAL_POSITION_INT, by row of ``tracks``.
+
+    Returns:
+        Latitude and longitude in degrees, height in metres, shape (3,); None where that is not known.
+
+    Raises:
+        UserError: the manifest is damaged.
+    """
+    vehicles = mission.get("vehicles") or ()
+    outdoors = [item.get("position") == "global" or item.get("origin") == "gps" for item in vehicles]
+    if vehicles and not any(outdoors):
+        return None
+    if isinstance(given := mission.get("anchor"), dict):
+        told = [given.get(name) for name in ("lat_deg", "lon_deg", "alt_m")]
+        return vectors(f"{path}: manifest: mission.anchor", told, (3,))
+    for row, track in enumerate(tracks):
+        seen = places.of(row)
+        usable = (track.in_team_frame or len(tracks) == 1) and (not vehicles or outdoors[row])
+        if not usable or not len(seen.t_ns) or not len(track.t_ns):
+            continue
+        # The first moment at which it told both: it stood on the ground.
+        at = int(np.searchsorted(seen.t_ns, track.t_ns[0]))
+        at = min(at, len(seen.t_ns) - 1)
+        beside = max(0, int(np.searchsorted(track.t_ns, seen.t_ns[at], side="right")) - 1)
+        east, north, up = track.pos_team_enu_m[beside]
+        return np.array(pymap3d.enu2geodetic(-east, -north, -up, *seen.position[at]), dtype=np.float64)
+    return None
+
+
 def _moved(mission: Values, result: Values) -> set[int]:
     """Vehicles by GPS, which may have moved their origins until the frames were settled, just before arming."""
     if not result.get("local_origins_enu_m"):

@@ -23,6 +23,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.extras import need
 
 if TYPE_CHECKING:
+    from groundstation.app.console.map_view import Tiles
     from groundstation.app.console.serving import Place
 
 _PORT = 8088
@@ -82,12 +83,11 @@ def console(
         _edit(out, edit, host, port)
         return
     if log:
-        _replay(out, log, flight, host, port)
+        _replay(out, log, flight, host, port, tiles=tiles)
         return
-    from groundstation.app.console.map_view import Tiles
     from groundstation.app.console.serving import serve_flight
 
-    ground = None if tiles is None else Tiles(tiles)
+    ground = _ground(tiles)
     path, about = choose_flight(*flights(runtime_folder(os.environ, Path.home())), flight)
     with _listening(host, port) as place:
         keys = place.keys()
@@ -138,7 +138,18 @@ def _is_there(pid: int) -> bool:
     return True
 
 
-def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, port: int) -> None:
+def _ground(tiles: Path | None) -> Tiles | None:
+    """What the map is drawn on.
+
+    Raises:
+        UserError: there are no tiles.
+    """
+    from groundstation.app.console.map_view import Tiles
+
+    return None if tiles is None else Tiles(tiles)
+
+
+def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, port: int, *, tiles: Path | None) -> None:
     """Shows recorded flights.
 
     Raises:
@@ -154,12 +165,12 @@ def _replay(out: Output, logs: Sequence[Path], flight: str | None, host: str, po
         raise UserError("--log replays what was recorded, --flight shows what is under way; leave one of them out")
     if len(logs) > 2:
         raise UserError(f"--log: {len(logs)} logs, two go side by side at most; gs compare takes more")
-    paths = [find_log(log) for log in logs]
+    paths, ground = [find_log(log) for log in logs], _ground(tiles)
     shown = [Recorded(useful_flight(out, path, "there is nothing to replay"), path) for path in paths]
     with _listening(host, port) as place:
         keys = place.keys()
         _tell(out, place, host, {"replay": keys.viewer})
-        serve_replay(place, keys, shown)
+        serve_replay(place, keys, shown, ground)
 
 
 def _edit(out: Output, mission: str, host: str, port: int) -> None:

@@ -45,6 +45,8 @@ class Recorded:
     def __init__(self, flight: Flight, log: Path | None = None) -> None:
         self.flight, self.log = flight, log
         self.duration_s = flight.duration_s
+        # One alone is shown in its own frame; of several, frames that nobody knows the place of mean nothing.
+        self._placed = [track.in_team_frame or len(flight.vehicles) == 1 for track in flight.vehicles]
         blocks = [(t_ns, distance_m, pair) for t_ns, distance_m, pair in flight.nearest()]
         self._near_ns: IntArray = np.concatenate([np.zeros(0, np.int64), *(block[0] for block in blocks)])
         self._near_m: FloatArray = np.concatenate([np.zeros(0), *(block[1] for block in blocks)])
@@ -52,7 +54,9 @@ class Recorded:
         self._so_far_m = np.minimum.accumulate(self._near_m)
         self.history = self._history()
         self.marks = sorted([*self._events(), *self._nearest(pairs)])
-        self._pads_m = np.array([_first(track) for track in flight.vehicles]).reshape(-1, 3)
+        self._pads_m = np.array(
+            [_first(track) if placed else np.full(3, np.nan) for track, placed in self._shown()]
+        ).reshape(-1, 3)
         self._fence_m = self._fence()
 
     def phases(self) -> list[tuple[str, float, float]]:
@@ -68,7 +72,7 @@ class Recorded:
         flight, t_ns = self.flight, self.flight.start_ns + round(t_s * SECOND_NS)
         n = len(flight.vehicles)
         pos_m = flight.positions_at(np.array([t_ns]))[0]
-        pos_m[[not track.in_team_frame for track in flight.vehicles]] = np.nan
+        pos_m[[not placed for placed in self._placed]] = np.nan
         known = np.isfinite(pos_m).all(axis=1)
         given = flight.roles_at(t_ns)
         role = np.array([-1 if item is None else item for item in given or (None,) * n], dtype=np.int64)
@@ -96,8 +100,12 @@ class Recorded:
             fence_enu_m=self._fence_m,
             edges=edges,
             figures=self._figures(t_ns),
-            anchor_deg_m=np.full(3, np.nan),
+            anchor_deg_m=np.full(3, np.nan) if flight.anchor_deg_m is None else flight.anchor_deg_m,
         )
+
+    def _shown(self) -> list[tuple[VehicleTrack, bool]]:
+        """Each vehicle, and whether it is shown where it was."""
+        return list(zip(self.flight.vehicles, self._placed, strict=True))
 
     def _s(self, t_ns: int) -> float:
         return (t_ns - self.flight.start_ns) / SECOND_NS
@@ -183,7 +191,7 @@ class Recorded:
                 corners = np.full((2, 3), np.nan)
             if np.isfinite(corners).all():
                 return corners
-        placed = [track.pos_team_enu_m for track in self.flight.vehicles if track.in_team_frame and len(track.t_ns)]
+        placed = [track.pos_team_enu_m for track, known in self._shown() if known and len(track.t_ns)]
         if not placed:
             return np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
         every = np.concatenate(placed)
@@ -196,7 +204,7 @@ def _phase_at(phases: tuple[Phase, ...], t_ns: int) -> str:
 
 def _first(track: VehicleTrack) -> FloatArray:
     """Where it was first, NaN where that is not known."""
-    return track.pos_team_enu_m[0] if len(track.t_ns) and track.in_team_frame else np.full(3, np.nan)
+    return track.pos_team_enu_m[0] if len(track.t_ns) else np.full(3, np.nan)
 
 
 def _attitude(track: VehicleTrack, t_ns: int) -> FloatArray:

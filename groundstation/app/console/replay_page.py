@@ -53,10 +53,11 @@ class ReplayPage:
     Args:
         flights: one, or two to be compared; the marks are those of the first.
         solid: with the scene in three dimensions.
+        tiles: for the map of a flight by GPS, see ``TeamView``.
     """
 
-    def __init__(self, flights: Sequence[Recorded], *, solid: bool) -> None:
-        self._player = Player(flights[0].duration_s)
+    def __init__(self, flights: Sequence[Recorded], *, solid: bool, tiles: tuple[str, int] | None = None) -> None:
+        self._player, self._tiles = Player(flights[0].duration_s), tiles
         self._marks = flights[0].marks
         self._ticks, self._shown_s, self._seen_s = 0, -1.0, time.monotonic()
         with ui.header().classes("items-center gap-4 py-1"):
@@ -111,7 +112,14 @@ class ReplayPage:
                 ui.label(recorded.flight.name).classes("font-bold")
                 phase = ui.label().props(named(prefix + "phase"))
             view = TeamView(
-                solid=solid, figures=_FIGURES, columns=_COLUMNS, narrow=count > 1, digits=4, charts=2, prefix=prefix
+                solid=solid,
+                figures=_FIGURES,
+                columns=_COLUMNS,
+                narrow=count > 1,
+                digits=4,
+                charts=2,
+                prefix=prefix,
+                tiles=self._tiles,
             )
             with view.side:
                 for line in (recorded.flight.message, *recorded.flight.notes):

@@ -75,7 +75,7 @@ def serve_flight(place: Place, keys: Keys, orders: Path, pid: int, tiles: Tiles 
         except (OSError, ValueError) as error:
             return {"ok": False, "why": f"the flight did not answer: {error}; whether it was obeyed is not known"}
 
-    desk = Desk(feed, HelmSeat(), tell, None if tiles is None else (tiles.serve(), tiles.zoom_max))
+    desk = Desk(feed, HelmSeat(), tell, _served(tiles))
 
     def make(role: Role, page: str, name: str, solid: bool) -> Callable[[], None]:
         Page(desk, role, page, name, solid=solid)
@@ -86,11 +86,12 @@ def serve_flight(place: Place, keys: Keys, orders: Path, pid: int, tiles: Tiles 
     serve(place, keys, make)
 
 
-def serve_replay(place: Place, keys: Keys, flights: Sequence[Recorded]) -> None:
-    """Shows recorded flights, one or two, until the console is ended."""
+def serve_replay(place: Place, keys: Keys, flights: Sequence[Recorded], tiles: Tiles | None) -> None:
+    """Shows recorded flights, one or two, until the console is ended; ``tiles`` as in ``serve_flight``."""
+    ground = _served(tiles)
 
     def make(_role: Role, _page: str, _name: str, solid: bool) -> Callable[[], None]:
-        return ReplayPage(flights, solid=solid).closed
+        return ReplayPage(flights, solid=solid, tiles=ground).closed
 
     serve(place, keys, make)
 
@@ -109,6 +110,11 @@ def serve_missions(place: Place, keys: Keys, desk: MissionDesk) -> None:
             ReplayPage([desk.flown], solid=True)
 
     serve(place, keys, make)
+
+
+def _served(tiles: Tiles | None) -> tuple[str, int] | None:
+    """Where pages find tiles, and the finest zoom."""
+    return None if tiles is None else (tiles.serve(), tiles.zoom_max)
 
 
 def serve(place: Place, keys: Keys, make: PageMaker) -> None:
