@@ -14,7 +14,8 @@ from groundstation.app.packaged import packaged_configs, packaged_names
 from groundstation.app.schema_files import schema_text
 from groundstation.core.errors import UserError
 from groundstation.core.files import read_yaml
-from groundstation.design.designer import design
+from groundstation.design.designer import design, evaluator
+from groundstation.design.graphs import suggest
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.plan.schema import MissionSpec
 
@@ -99,6 +100,27 @@ def test_gains_belong_to_a_shape_and_are_designed_anew(draft: Draft, tmp_path: P
     assert (tmp_path / "mission.schema.json").is_file()
     again = Draft(path)  # what was saved is opened again as it was
     assert (again.points, again.edges, again.has_gains) == (draft.points, draft.edges, True)
+
+
+def test_points_come_and_go_with_their_edges(draft: Draft) -> None:
+    assert (len(draft.points), draft.vehicles) == (8, 8)
+    before = [(tuple(draft.points[i - 1]), tuple(draft.points[j - 1])) for i, j in draft.edges]
+    gone = tuple(draft.points[2])
+    draft.remove(2)
+    assert not draft.has_gains
+    after = [(tuple(draft.points[i - 1]), tuple(draft.points[j - 1])) for i, j in draft.edges]
+    assert after == [edge for edge in before if gone not in edge]
+    assert "7" in draft.judged()  # of eight vehicles
+    assert "8" in draft.judged()
+    draft.add([0.5, 0.25, 2.0])
+    assert draft.points[-1] == [0.5, 0.25, 2.0]
+    assert all(8 not in edge for edge in draft.edges)
+    draft.propose(suggest(draft.formation(), "balanced", evaluator()).formation)
+    assert draft.judged() == ""
+    one = Draft(MISSIONS / "first_flight2.yaml")
+    one.remove(0)
+    with pytest.raises(UserError, match="the only one"):
+        one.remove(0)
 
 
 @pytest.mark.parametrize("name", ["sequence8", "hello1"])

@@ -84,6 +84,12 @@ class Draft:
         return self._gains is not None
 
     @property
+    def vehicles(self) -> int:
+        """How many the mission has."""
+        vehicles = self.values.get("vehicles")
+        return len(vehicles) if isinstance(vehicles, list) else 0
+
+    @property
     def name(self) -> str:
         """Of the mission."""
         return str(self.values.get("name"))
@@ -102,6 +108,25 @@ class Draft:
         """Puts a point, counted from 0, somewhere else."""
         if self.points[row] != point:
             self.points[row], self._gains = point, None
+
+    def add(self, point: list[float]) -> None:
+        """Adds a point as the last one; nobody is joined to it yet."""
+        self.points.append(point)
+        self._gains = None
+
+    def remove(self, row: int) -> None:
+        """Takes a point, counted from 0, out with its edges; those behind it move up.
+
+        Raises:
+            UserError: none would be left.
+        """
+        if len(self.points) == 1:
+            raise UserError("point 1 is the only one: a formation has one at least")
+        del self.points[row]
+        agent = row + 1
+        kept = [edge for edge in self.edges if agent not in edge]
+        self.edges = [(i - (i > agent), j - (j > agent)) for i, j in kept]
+        self._gains = None
 
     def toggle(self, one: int, other: int) -> None:
         """Joins two agents, counted from 1, or parts them.

@@ -41,13 +41,21 @@ class FormationEditor:
     def __init__(self, draft: Draft, changed: Callable[[], None], *, solid: bool) -> None:
         self._draft, self._changed, self._solid = draft, changed, solid
         self._picked: int | None = None
+        self._dark: bool | None = None
         self._dropped: tuple[int, float] = (-1, 0.0)
         self._scene: _Shape | None = None
         self._progress, self._stop = "", False
         self._numbers: list[list[ui.number]] = []
         if solid:
-            ui.label("Drag a point to move it; click two points to join or part them.").classes("text-xs")
+            ui.label(
+                "Drag a point to move it; click two points to join or part them; double-click the ground to add a"
+                " point there. Points and edges can be typed too, below."
+            ).classes("text-xs")
             self._place = ui.column().classes("w-full")
+        with ui.row().classes("items-center gap-2"):
+            ui.button("add point", on_click=lambda: self._add(self._beside())).props("dense")
+            self._remove_button = ui.button("remove point", on_click=self._remove_picked).props("dense")
+            self._size = ui.label().classes("text-sm").props(named("size"))
         with ui.row().classes("items-center gap-2"):
             self._edge = (
                 ui.input("edge: 1 2").without_auto_validation().props("dense").classes("w-24").props(named("edge"))
@@ -62,18 +70,24 @@ class FormationEditor:
         self._gains = ui.label().classes("text-sm font-bold whitespace-pre-line").props(named("gains") + " role=status")
         self._edges = ui.label().classes("text-xs").props(named("edges"))
         with ui.expansion("points", value=not solid).classes("w-full").props(named("points")):
-            self._table()
+            self._fields = ui.column().classes("w-full")
+        self._table()
         ui.timer(0.3, self._tell_progress)
         self._told = ""
         self._show()
 
     def _table(self) -> None:
-        points = self._draft.points
-        if len(points) > _TYPED_MAX:
-            ui.label(f"{len(points)} points: drag them, or write them in the formation file").classes("text-xs")
-            return
-        with ui.grid(columns="auto 1fr 1fr 1fr").classes("gap-x-2 gap-y-0 items-center"):
-            for name in ("", "east", "north", "up"):
+        points, self._numbers = self._draft.points, []
+        self._fields.clear()
+        with self._fields:
+            if len(points) > _TYPED_MAX:
+                ui.label(f"{len(points)} points: drag them, or write them in the formation file").classes("text-xs")
+            else:
+                self._rows(points)
+
+    def _rows(self, points: list[list[float]]) -> None:
+        with ui.grid(columns="auto 1fr 1fr 1fr auto").classes("gap-x-2 gap-y-0 items-center"):
+            for name in ("", "east", "north", "up", ""):
                 ui.label(name).classes("text-xs")
             for row, point in enumerate(points):
                 ui.label(str(row + 1))
@@ -85,14 +99,51 @@ class FormationEditor:
                         for axis, value in zip("xyz", point, strict=True)
                     ]
                 )
+                away = ui.button("x", on_click=partial(self._remove, row)).props("dense flat")
+                away.props(f'aria-label="remove point {row + 1}"')
 
     def themed(self, *, dark: bool) -> None:
         """The page has become light or dark: the scene is made anew on that ground."""
-        if self._solid and self._draft.points:
+        self._dark = dark
+        self._anew()
+
+    def _anew(self) -> None:
+        """Another scene: it has as many points as were there when it was made."""
+        if self._solid and self._draft.points and self._dark is not None:
             self._place.clear()
             with self._place:
-                self._scene = _Shape(self._draft, self._dragged, self._clicked, dark=dark)
+                self._scene = _Shape(self._draft, self._dragged, self._clicked, self._add, dark=self._dark)
             self._scene.show(self._picked)
+
+    def _beside(self) -> list[float]:
+        """Free room for a point: above the middle of the others."""
+        points = np.array(self._draft.points)
+        size = max(float(np.ptp(points, axis=0).max()), 1.0)
+        east, north, _ = points.mean(axis=0).tolist()
+        return [east, north, float(points[:, 2].max()) + 0.5 * size]
+
+    def _add(self, at: list[float]) -> None:
+        self._draft.add([round(value, _DIGITS) for value in at])
+        self._picked = len(self._draft.points) - 1
+        self._resized()
+
+    def _remove_picked(self) -> None:
+        if self._picked is not None:
+            self._remove(self._picked)
+
+    def _remove(self, row: int) -> None:
+        try:
+            self._draft.remove(row)
+        except UserError as error:
+            self._gains.set_text(str(error))
+            return
+        self._picked = None
+        self._resized()
+
+    def _resized(self) -> None:
+        self._table()
+        self._anew()
+        self._show()
 
     def _typed(self, row: int) -> None:
         values = [number.value for number in self._numbers[row]]
@@ -135,7 +186,11 @@ class FormationEditor:
         self._show()
 
     def _show(self) -> None:
-        draft = self._draft
+        draft, vehicles = self._draft, self._draft.vehicles
+        lacks = len(draft.points) - vehicles
+        more = f": {'add' if lacks > 0 else 'take out'} {abs(lacks)} in the whole file as YAML" if lacks else ""
+        self._size.set_text(f"{len(draft.points)} points, {vehicles} vehicles{more}")
+        self._remove_button.set_enabled(self._picked is not None)
         self._edges.set_text(f"{len(draft.edges)} edges: {', '.join(f'{i}-{j}' for i, j in draft.edges)}")
         self._gains.set_text("gains fit this shape" if draft.has_gains else "the shape has no gains yet")
         if self._scene is not None:
@@ -221,10 +276,11 @@ class _Shape:
         draft: Draft,
         dragged: Callable[[int, list[float]], None],
         clicked: Callable[[int], None],
+        added: Callable[[list[float]], None],
         *,
         dark: bool,
     ) -> None:
-        self._draft, self._dragged, self._clicked = draft, dragged, clicked
+        self._draft, self._dragged, self._clicked, self._added = draft, dragged, clicked, added
         points = np.array(draft.points)
         middle, size = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 1.0)
         self._lines: list[Line] = []
@@ -235,7 +291,7 @@ class _Shape:
             background_color=ground_colour(dark=dark),
             on_drag_end=self._drop,
             on_click=self._click,
-            click_events=["click"],
+            click_events=["click", "dblclick"],
         ).classes("w-full h-80")
         with self.view as scene:
             for row in range(len(points)):
@@ -250,9 +306,13 @@ class _Shape:
         self._dragged(int(event.object_name), [event.x, event.y, event.z])
 
     def _click(self, event: SceneClickEventArguments) -> None:
-        hit = next((hit.object_name for hit in event.hits if hit.object_name.isdigit()), None)
-        if hit is not None:
-            self._clicked(int(hit))
+        ball = next((hit.object_name for hit in event.hits if hit.object_name.isdigit()), None)
+        if event.click_type == "dblclick":
+            ground = next((hit for hit in event.hits if hit.object_id == "ground"), None)
+            if ball is None and ground is not None:
+                self._added([ground.x, ground.y, 0.0])
+        elif ball is not None:
+            self._clicked(int(ball))
 
     def show(self, picked: int | None) -> None:
         """Draws the shape as it is now."""
