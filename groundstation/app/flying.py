@@ -336,8 +336,8 @@ def fly_vehicles(
             log_path, versions(), emulated_seed, replace=replace_log, through=disk.through, faults=struck
         )
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
-        stack.enter_context(reading(plan))
-        keepers = stack.enter_context(serving(plan))
+        kept = stack.enter_context(reading(plan))
+        keepers = stack.enter_context(serving(plan, kept))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
         session, gate, links = flight.session, flight.gate, flight.links
         if flight.unlogged:

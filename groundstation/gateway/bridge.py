@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from groundstation.gateway.measured import Pose, charge, enu_from_flu, read_pose
+from groundstation.gateway.measured import Pose, charge, external_pose, read_pose
 from groundstation.gateway.orders import ExternalPose, LogRate, Order, Ping, Place, SetParam
 from groundstation.gateway.params import ParamServer
 from groundstation.gateway.pilot import SECOND_NS, Mode, Pilot
@@ -65,6 +65,7 @@ class Bridge:
         quality: of its link, and the rates that follow.
         ignored: setpoints that were not followed.
         lateness_ns: of the last pose, against the quickest that ever came.
+        told_by_flight: when the flight has told it last where it is, and what; None before that.
     """
 
     def __init__(self, sysid: int, now_ns: int, log_hz: float = 50.0, boot_ns: int | None = None) -> None:
@@ -73,6 +74,7 @@ class Bridge:
         self.settings = Settings()
         self.pilot = Pilot(self.settings)
         self.ignored = 0
+        self.told_by_flight: tuple[int, ExternalPose] | None = None
         self._begun_ns = now_ns if boot_ns is None else boot_ns
         self._encoder, self._splitters, self._stamps = Encoder(sysid), Splitters(), Stamps()
         self._params = ParamServer(self.settings, self._encoder)
@@ -95,6 +97,11 @@ class Bridge:
         """How much longer the last pose took than the quickest one."""
         return self._stamps.lateness_ns
 
+    @property
+    def heard_ever(self) -> bool:
+        """Whether the vehicle has told where it is."""
+        return self._heard_ns is not None
+
     # -- from the vehicle ---------------------------------------------------------------------------------------
 
     def connected(self, protocol: int, params: Mapping[str, tuple[float, int]]) -> None:
@@ -109,18 +116,22 @@ class Bridge:
         if params.get("commander.enHighLevel", (1.0, 0))[0] == 0.0:
             self.pilot.orders.append(SetParam("commander.enHighLevel", 1.0))
 
-    def resume(self, home_enu_m: Place | None, settings: Mapping[str, float], now_ns: int) -> None:
+    def resume(
+        self, home_enu_m: Place | None, settings: Mapping[str, float], now_ns: int, *, in_a_room: bool = False
+    ) -> None:
         """Takes over a vehicle that flies, whose gateway has ended: it is told to stay where it is, before all else.
 
         Args:
             home_enu_m: where it took off, in the room's frame; None where nobody knows.
             settings: the gateway's own, as they were.
             now_ns: time of that.
+            in_a_room: it was told until now where it is, and has to be.
         """
         for name, value in settings.items():
             if name in LIMITS:
                 self.settings.set_value(name, value)
         self._resumed = True
+        self._external_ns = now_ns if in_a_room else 0
         self.pilot.resume(home_enu_m, now_ns)
         self._text(_WARNING, "its gateway has begun anew; it stays where it is")
 
@@ -185,20 +196,21 @@ class Bridge:
                 self._obey(batch.name, batch.values[0], now_ns)
 
     def _see(self, values: StructuredArray, now_ns: int) -> None:
-        """Takes its pose out of those of several; of those that wait only the newest goes on to the vehicle."""
+        """Takes its pose out of those of several."""
         if int(values["payload_type"]) != PACKED_TYPE:
             return
         if now_ns - self._external_ns < 0.9 * SECOND_NS / self.quality.cap_hz:
             return
-        for sysid, (north, east, down, *quat) in unpacked_poses(
-            bytes(values["payload"][: int(values["payload_length"])])
-        ):
-            if sysid != self.sysid or not all(map(math.isfinite, (north, east, down))):
-                continue
-            turned = enu_from_flu(*quat) if all(map(math.isfinite, quat)) else None
-            self._external_ns = now_ns
-            self.pilot.orders = [order for order in self.pilot.orders if not isinstance(order, ExternalPose)]
-            self.pilot.orders.append(ExternalPose((east, north, -down), turned))
+        for sysid, pose in unpacked_poses(bytes(values["payload"][: int(values["payload_length"])])):
+            if sysid == self.sysid and all(map(math.isfinite, pose[:3])):
+                self.told_by_flight = now_ns, external_pose(*pose)
+                self.see(self.told_by_flight[1], now_ns)
+
+    def see(self, pose: ExternalPose, now_ns: int) -> None:
+        """Takes a pose from outside; of those that wait only the newest goes on to the vehicle."""
+        self._external_ns = now_ns
+        self.pilot.orders = [order for order in self.pilot.orders if not isinstance(order, ExternalPose)]
+        self.pilot.orders.append(pose)
 
     def _obey(self, name: str, values: StructuredArray, now_ns: int) -> None:
         if name == "HEARTBEAT":
@@ -309,7 +321,8 @@ class Bridge:
 
     def tick(self, now_ns: int) -> None:
         """Does what is due."""
-        self.pilot.dark = bool(self._external_ns) and now_ns - self._external_ns > _DARK_NS
+        dark_ns = now_ns - self._external_ns if self._external_ns else 0
+        self.pilot.dark_s = dark_ns / SECOND_NS if dark_ns > _DARK_NS else 0.0
         words = self.pilot.tick(now_ns)
         if words is not None:
             self._text(_WARNING if self.pilot.failsafe else _INFO, words)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import TypeGuard
 
 from groundstation.gateway.orders import Place
 
@@ -28,14 +29,45 @@ class Handover:
     settings: Mapping[str, float] = field(default_factory=dict)
 
 
-def written(vehicles: Mapping[int, Handover]) -> str:
+@dataclass(frozen=True)
+class RoomWord:
+    """The motion capture that the vehicles fly by, for when the flight is silent.
+
+    Attributes:
+        link: where its frames come in.
+        by_place: bodies are told apart by their places.
+        speed_m_s: no vehicle is faster.
+        hz: poses a second that each is to be told.
+    """
+
+    link: str
+    by_place: bool
+    speed_m_s: float
+    hz: float
+
+
+def written(vehicles: Mapping[int, Handover], room: RoomWord | None = None) -> str:
     """One line, by system id."""
-    return json.dumps(
-        {
-            str(sysid): {"flies": told.flies, "home": told.home_enu_m, "settings": dict(told.settings)}
-            for sysid, told in vehicles.items()
-        }
-    )
+    told: dict[str, object] = {
+        str(sysid): {"flies": item.flies, "home": item.home_enu_m, "settings": dict(item.settings)}
+        for sysid, item in vehicles.items()
+    }
+    return json.dumps(told if room is None else told | {"room": asdict(room)})
+
+
+def read_room(line: str) -> RoomWord | None:
+    """The room of a line, where it has one."""
+    try:
+        told = json.loads(line)
+    except ValueError:
+        return None
+    room = told.get("room") if isinstance(told, dict) else None
+    if not isinstance(room, dict) or not isinstance(link := room.get("link"), str):
+        return None
+    speed, hz = room.get("speed_m_s"), room.get("hz")
+    if not (_is_number(speed) and _is_number(hz) and float(speed) > 0.0 and float(hz) > 0.0):
+        return None
+    return RoomWord(link, room.get("by_place") is True, float(speed), float(hz))
 
 
 def read(line: str) -> dict[int, Handover]:
@@ -65,5 +97,5 @@ def _place(values: object) -> Place | None:
     return (numbers[0], numbers[1], numbers[2]) if len(numbers) == 3 else None
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
-from groundstation.gateway.orders import Place
+from groundstation.gateway.orders import ExternalPose, Place
 
 POSE_VARIABLES = (
     *(f"stateEstimateZ.{axis}" for axis in "xyz"),
@@ -129,3 +129,9 @@ class Supervisor:
 def enu_from_flu(w: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Attitude x y z w that takes FLU to ENU, as the firmware has it, of one that takes FRD to NED."""
     return _HALF * (x + y), _HALF * (x - y), _HALF * (w - z), _HALF * (w + z)
+
+
+def external_pose(north: float, east: float, down: float, *quat: float) -> ExternalPose:
+    """What a vehicle is told of a place in NED, m, and of a quaternion w x y z that takes FRD to NED, where known."""
+    known = len(quat) == 4 and all(map(math.isfinite, quat))
+    return ExternalPose((east, north, -down), enu_from_flu(*quat) if known else None)

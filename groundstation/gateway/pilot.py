@@ -29,6 +29,7 @@ SECOND_NS = 1_000_000_000
 _CLIMB_M_S, _CRUISE_M_S, _SINK_M_S = 0.8, 1.0, 0.4
 _TAKE_OFF_M_S, _EASE_S = 0.5, 1.5
 _DARK_SINK_M_S, _DARK_EASE_S = 0.6, 0.4
+_DARK_S, _ALONE_NS = 1.0, 3 * SECOND_NS
 _FRESH_NS = SECOND_NS // 2
 _AGAIN_NS, _PATIENCE_NS = 8 * SECOND_NS, 4 * SECOND_NS  # left alone twice in so long: it follows no sooner than this
 _REPEAT_NS = SECOND_NS // 10  # a velocity that nobody renews, as long as it is news: one packet may have been lost
@@ -57,14 +58,15 @@ class Pilot:
     Attributes:
         mode: what it does.
         failsafe: it does so since it was left alone.
-        dark: where it is is told to it no more: it comes down quickly, for it drifts the longer the farther.
+        dark_s: for so long nobody has told it where it is, where somebody did before; 0 while it is told. It comes down
+            quickly then, for it drifts the longer the farther.
         most_hz: setpoints a second, where its link carries no more than that.
         orders: what is to be sent, in order; whoever sends it empties it.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.mode, self.failsafe = Mode.STAND, False
-        self.most_hz, self.dark = math.inf, False
+        self.most_hz, self.dark_s = math.inf, 0.0
         self.orders: list[Order] = []
         self._settings = settings
         self._armed = False  # by the ground station: one that arms itself is not, as long as it stands
@@ -245,6 +247,10 @@ class Pilot:
     def _lost(self, now_ns: int) -> str | None:
         """Acts where the ground station has gone."""
         since_ns, action = self._station_ns, round(self._settings["GW_LOSS_ACT"])
+        if self._alone_in_the_dark(now_ns):
+            dark_s = self.dark_s
+            self.land(now_ns, failsafe=True)
+            return f"nobody has told it where it is for {dark_s:.1f} s, nor what to do; it lands where it is"
         busy = self.mode in (Mode.LAND, Mode.RETURN)
         if since_ns is None or busy or now_ns - since_ns < self._settings["GW_LOSS_S"] * SECOND_NS:
             return None
@@ -261,6 +267,13 @@ class Pilot:
             self._stay(now_ns, failsafe=True)
             return f"{gone}; it stays where it is"
         return None
+
+    def _alone_in_the_dark(self, now_ns: int) -> bool:
+        """Whether to stay, or to fly home, would be done by an estimate that nobody corrects, at nobody's order."""
+        if self.dark_s < _DARK_S or self.mode in (Mode.LAND, Mode.OUT) or self.climbs(now_ns):
+            return False
+        heard_ns = max(self._heard_ns, self._station_ns or 0)
+        return now_ns - heard_ns >= _ALONE_NS or (self.failsafe and now_ns - self._heard_ns >= _DARK_S * SECOND_NS)
 
     def _return(self, now_ns: int) -> None:
         """Climbs, flies home, waits, lands."""
@@ -291,7 +304,7 @@ class Pilot:
     def _down(self, from_m: float) -> LandAt:
         ground_m = 0.0 if self._home_enu_m is None else self._home_enu_m[2]
         height_m = abs(from_m - ground_m)
-        if self.dark:
+        if self.dark_s:
             return LandAt(ground_m, height_m / _DARK_SINK_M_S + _DARK_EASE_S)
         return LandAt(ground_m, max(_LEAST_DURATION_S, height_m / _SINK_M_S + _EASE_S))
 

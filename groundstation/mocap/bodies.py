@@ -18,6 +18,12 @@ from groundstation.core.types import FloatArray, IntArray
 MM = 0.001
 LINK = "udpin://127.0.0.1:14595"
 """Where frames are taken in when a mission says nothing else."""
+_RELAY_PORTS = 1_000
+
+
+def relay_port(port: int) -> int:
+    """Where frames go as well, for the gateway of a flight that listens on a port, should the flight be killed."""
+    return port + (_RELAY_PORTS if port + _RELAY_PORTS < 65_536 else -_RELAY_PORTS)
 
 
 @dataclass(frozen=True)

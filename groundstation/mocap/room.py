@@ -107,6 +107,10 @@ class Room:
         """From now on vehicles fly: names are held against places, and nobody jumps."""
         self._held = True
 
+    def flies_from(self, vehicle: int, pos_ned_m: FloatArray, measured_ns: int) -> None:
+        """Takes over one that somebody else has followed until now, from where it was seen last, shape (3,)."""
+        self.pos_ned_m[vehicle], self.measured_ns[vehicle] = pos_ned_m, measured_ns
+
     def take(self, frame: RoomFrame) -> Seen | None:
         """Takes a frame; returns who is believed of it, None for nobody.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -285,3 +286,28 @@ def test_charge_is_lower_at_the_same_voltage_standing_than_flying() -> None:
     assert charge(3.7, flies=True) > charge(3.7, flies=False)
     assert charge(2.9, flies=True) == 0.0
     assert math.isnan(charge(0.0, flies=False))
+
+
+def test_nobody_holds_or_returns_by_an_estimate_that_nobody_corrects() -> None:
+    room = Room()
+    room.fly()
+    room.setpoint = (0.0, 0.0, 0.0, None)
+
+    def told(seconds: float) -> None:
+        for _ in range(round(seconds / 0.04)):
+            east, north, up = room.place_enu_m.tolist()
+            pose = struct.pack("<Bfffffff", 1, north, east, -up, 1.0, 0.0, 0.0, 0.0)
+            room.send("TUNNEL", payload_type=0xA000, payload_length=len(pose), payload=pose)
+            room.run(0.04)
+
+    told(1.0)
+    room.run(2.0)  # its body is covered, and the ground station steers it as before
+    assert room.bridge.pilot.mode == VELOCITY
+    told(0.2)
+    room.setpoint, room.station_lives = None, False
+    told(2.0)
+    assert room.bridge.pilot.mode == HOLD  # left alone, but somebody tells it where it is
+    room.heard.clear()
+    room.run(1.2)
+    assert room.bridge.pilot.mode == LAND
+    assert "it lands where it is" in room.texts()

@@ -57,10 +57,9 @@ def test_a_gateway_that_dies_is_replaced_at_once_by_one_that_waits_and_knows_who
     session = Session(Runner(plan, 0), None)
     keeper = GatewayKeeper(plan, children)
     try:
-        assert {sysid: told["flies"] for sysid, told in told_by(children.started[0]).items()} == {
-            "1": False,
-            "2": False,
-        }
+        told = told_by(children.started[0])
+        assert told.pop("room") == {"link": "udpin://127.0.0.1:15595", "by_place": False, "speed_m_s": 1.0, "hz": 25.0}
+        assert {sysid: word["flies"] for sysid, word in told.items()} == {"1": False, "2": False}
         keeper.apply(session, SECOND_NS)
         keeper.apply(session, 7 * SECOND_NS)
         assert len(children.started) == 2  # one serves, one waits

@@ -11,19 +11,23 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from threading import Event, Thread
+from typing import Any
 
 import numpy as np
 import pytest
 
 from groundstation.app.mocap.process import reading
 from groundstation.app.mocap.reading import SYSTEMS
+from groundstation.app.mocap.vrpn import VrpnServer, bodies_of
 from groundstation.core import frames
 from groundstation.mavlink.codec import Frame, FrameSplitter
-from groundstation.mavlink.mocap_frames import room_frames
+from groundstation.mavlink.mocap_frames import RoomEncoder, room_frames
 from groundstation.mocap.bodies import RoomFrame
 from tests.app.flights import mission
+from tests.sitl.served import free_udp_port
 
 _MAIN = "import sys; sys.argv[0] = 'gs'; from groundstation.app.cli import main; main()"
 _LOGS = Path(__file__).parents[1] / "reference_logs"
@@ -115,3 +119,61 @@ def test_the_room_of_a_recorded_flight_is_played_again(tmp_path: Path) -> None:
     assert seen[0].row.tolist() == list(range(len(vehicles)))
     pads = np.array([vehicle["pad_m"] for vehicle in vehicles])
     assert np.linalg.norm(seen[0].pos_ned_m - frames.ned_from_enu(pads), axis=1).max() < 0.05
+
+
+def test_what_reads_the_system_ends_with_the_last_that_holds_it_even_while_it_waits_in_its_library(
+    tmp_path: Path,
+) -> None:
+    silent = "import time\n\n\ndef connect(system, config):\n    print('connected', flush=True)\n    time.sleep(1e6)\n"
+    (tmp_path / "motioncapture.py").write_text(silent, encoding="utf-8")
+    ends, holds = os.pipe()
+    other = os.dup(holds)
+    words = ["mocap", "read", "--system", "vicon", "--host", "192.0.2.1", "--kept"]
+    reader = subprocess.Popen(
+        [sys.executable, "-c", _MAIN, *words], stdin=ends, stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])},
+    )  # fmt: skip
+    os.close(ends)
+    assert reader.stdout is not None
+    with reader.stdout as said:
+        while said.readline() != "connected\n":
+            assert reader.poll() is None
+        os.close(holds)  # the flight's; its gateway lives
+        with pytest.raises(subprocess.TimeoutExpired):
+            reader.wait(0.5)
+        os.close(other)
+        assert reader.wait(30) == -signal.SIGIO
+
+
+def test_a_fake_room_is_read_through_vrpn_by_whoever_reads_real_ones() -> None:
+    motioncapture = pytest.importorskip("motioncapture", reason="motioncapture is not installed")
+    port = free_udp_port()
+    place, turn = np.array([1.0, -2.0, 0.5]), np.array([0.0, 0.0, 0.6, 0.8])
+    ends = Event()
+
+    def serve(server: VrpnServer) -> None:
+        while not ends.wait(0.01):
+            server.send(5_000_000, {"cf1": (place, turn), "cart": (2.0 * place, turn)})
+
+    with closing(VrpnServer(port=port)) as server:
+        thread = Thread(target=serve, args=(server,))
+        thread.start()
+        try:
+            system = motioncapture.connect("vrpn", {"hostname": f"127.0.0.1:{port}"})
+            seen: dict[str, Any] = {}
+            while set(seen) != {"cf1", "cart"}:
+                system.waitForNextFrame()
+                seen |= dict(system.rigidBodies)
+        finally:
+            ends.set()
+            thread.join()
+    assert seen["cart"].position == pytest.approx(2.0 * place)
+    rotation = seen["cf1"].rotation
+    assert (rotation.x, rotation.y, rotation.z, rotation.w) == pytest.approx((0.0, 0.0, 0.6, 0.8))
+    datagram = RoomEncoder().datagram(
+        7, [1, None], frames.ned_from_enu(np.array([place, place])), np.full((2, 4), np.nan)
+    )
+    stamp_us, bodies = bodies_of(datagram, {1: "cf1"})
+    assert stamp_us == 7
+    assert set(bodies) == {"cf1", "marker2"}
+    assert bodies["marker2"][0] == pytest.approx(place)

@@ -162,8 +162,8 @@ def check(
     keeper = BeforeKeeper(before_path(dated_path(plan)))
     with ExitStack() as stack:
         purpose = Purpose.PREPARE if fix else Purpose.LOOK
-        stack.enter_context(reading(plan))
-        keepers = stack.enter_context(serving(plan))
+        kept = stack.enter_context(reading(plan))
+        keepers = stack.enter_context(serving(plan, kept))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
         display = stack.enter_context(FlightDisplay(out.console, plan, flight.links))
         stack.enter_context(interrupts.listening())

@@ -17,6 +17,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.extras import need
 
 _IDS = range(1, 255)
+_FASTEST_M_S = 3.0  # no Crazyflie is faster, for telling bodies apart
 
 
 def gateway(
@@ -39,6 +40,13 @@ def gateway(
     broadcast: Annotated[
         bool, typer.Option("--broadcast", help="Those poses are packed, two to a packet, for all behind one radio.")
     ] = False,
+    room: Annotated[
+        str | None,
+        typer.Option(
+            help="Where frames of the motion capture come in while the ground station is silent, udpin://HOST:PORT; a"
+            " flight that is at udpin://HOST:14595 has them sent to port 15595 as well."
+        ),
+    ] = None,
     radio_packets: Annotated[
         float | None, typer.Option(help="Packets a second that one radio makes, where it was measured.", min=10)
     ] = None,
@@ -67,6 +75,7 @@ def gateway(
         return
     need("crazyflie", "gs gateway crazyflie")
     from groundstation.app.gateway.serving import serve
+    from groundstation.gateway.handover import RoomWord
 
     def say(line: str) -> None:
         console.console.print(Text(line))
@@ -74,7 +83,10 @@ def gateway(
 
     if kept_since is None:
         say(f"{len(uris)} Crazyflies to {out}: {', '.join(map(str, uris))}. Ctrl-C lands whoever flies, and ends.")
-    counts = serve(uris, out, cache=cache, pose_hz=log_hz, say=say, broadcast=broadcast, kept_since_ns=kept_since)
+    heard = None if room is None else RoomWord(room, False, _FASTEST_M_S, setpoint_hz)
+    counts = serve(
+        uris, out, cache=cache, pose_hz=log_hz, say=say, broadcast=broadcast, kept_since_ns=kept_since, room=heard
+    )
     if kept_since is None:
         console.result({**counts})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from contextlib import ExitStack, closing
 from pathlib import Path
 from threading import Event
 from typing import Annotated
@@ -52,6 +53,11 @@ def mocap(
         int | None, typer.Option(help="UDP port of the emulated team, with fake, as for gs sitl.", min=1, max=65535)
     ] = None,
     seed: Annotated[int, typer.Option(help="Of its noise, with fake.", min=0)] = 0,
+    vrpn: Annotated[
+        int | None,
+        typer.Option(help="With fake: serve bodies by VRPN on this port (3883), to be read as a real system.", min=1),
+    ] = None,
+    kept: Annotated[bool, typer.Option("--kept", hidden=True, help="Ends with its standard input.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Sends frames of a motion capture system to flights. Ctrl-C ends."""
@@ -94,9 +100,21 @@ def mocap(
         if plan is None:
             raise UserError("gs mocap fake: name the mission whose team is emulated, with --mission")
         server, room = fake_server(plan, seed, port, hz=hz, noise_m=noise, faults=read_faults(fault or [], plan))
-        with server:
-            say(f"emulates the team of {plan.spec.name}, and its motion capture to udp {host_of_flight}:{at.port}")
-            server.run(stop, room.status(wire.send), status_every_s=1.0 / hz)
+        with ExitStack() as stack:
+            stack.enter_context(server)
+            send, where = wire.send, f"to udp {host_of_flight}:{at.port}"
+            if vrpn is not None:
+                from groundstation.app.mocap.vrpn import VrpnServer, bodies_of
+
+                served = stack.enter_context(closing(VrpnServer(port=vrpn)))
+                names = {vehicle.id: vehicle.body_name for vehicle in plan.spec.vehicles}
+                where = f"by VRPN on 127.0.0.1:{vrpn}"
+
+                def send(data: bytes) -> None:
+                    served.send(*bodies_of(data, names))
+
+            say(f"emulates the team of {plan.spec.name}, and its motion capture {where}")
+            server.run(stop, room.status(send), status_every_s=1.0 / hz)
         out.result({"frames": room.sent})
         return
     need("mocap", "gs mocap read")
@@ -106,6 +124,10 @@ def mocap(
         raise UserError("gs mocap read: --system and --host, or a mission that has them under positioning, are needed")
     ids = {} if plan is None else {vehicle.body_name: vehicle.id for vehicle in plan.spec.vehicles}
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a system that is silent keeps the process in its own library
+    if kept:
+        from groundstation.app.mocap.process import end_with_stdin
+
+        end_with_stdin()
     reader = Reader(ids | _bodies(body or []), up=up, unit=unit)
     say(f"reads {system} at {host}, sends to udp {host_of_flight}:{at.port}")
     read(connect(system, host), reader, wire)

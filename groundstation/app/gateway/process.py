@@ -8,7 +8,6 @@ its gateway behind until nobody flies any more: it holds, lands or returns them 
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -20,12 +19,13 @@ from groundstation.app.session import Session
 from groundstation.core.errors import UserError
 from groundstation.core.extras import need
 from groundstation.gateway.budget import Rates, capacity, check
-from groundstation.gateway.handover import Handover, written
+from groundstation.gateway.handover import Handover, RoomWord, written
 from groundstation.gateway.settings import LIMITS
 from groundstation.mavlink.addresses import parse_address, radio_of
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND
 from groundstation.mission.ground.failsafe import make_failsafe
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mocap.bodies import relay_port
 
 _CACHE = ".crazyflie_cache"
 _AGAIN_NS, _AGAIN_MAX_NS = 1_000_000_000, 16_000_000_000
@@ -75,14 +75,23 @@ def words_of(plan: MissionPlan) -> list[str]:
     return words + (["--radio-packets", f"{plan.gateway.radio_packets:g}"] if plan.gateway.radio_packets else [])
 
 
-def start(words: list[str]) -> subprocess.Popen[bytes]:
-    """Starts ``gs`` with these words, deaf to the terminal's Ctrl-C, its output in a pipe."""
+def room_of(plan: MissionPlan) -> RoomWord | None:
+    """Where a mission's gateway hears the motion capture; None without one."""
+    room, at = plan.room(), plan.room_link
+    if room is None or at is None:
+        return None
+    return RoomWord(f"udpin://{at.host}:{relay_port(at.port)}", room.by_place, room.speed_m_s, rates_of(plan).pose_hz)
+
+
+def start(words: list[str], keep: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Starts ``gs`` with these words, deaf to the terminal's Ctrl-C, its output in a pipe; it keeps these open."""
     package = Path(__file__).parents[2]
     path = os.pathsep.join([str(package.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
     child = subprocess.Popen(  # noqa: S603 - our own program
         [sys.executable, "-m", package.name, *words],
         env=os.environ | {"PYTHONPATH": path, "NO_COLOR": "1", "COLUMNS": "300"},
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        pass_fds=keep,
     )  # fmt: skip
     assert child.stdout is not None  # noqa: S101 - a pipe
     os.set_blocking(child.stdout.fileno(), False)
@@ -100,11 +109,11 @@ class _Child:
         """Of its output; -1 when that is closed."""
         return -1 if self.process.stdout is None or self.process.stdout.closed else self.process.stdout.fileno()
 
-    def begin(self, vehicles: dict[int, Handover]) -> None:
+    def begin(self, vehicles: dict[int, Handover], room: RoomWord | None) -> None:
         """Gives it its word."""
         with suppress(OSError):  # it has died in the meantime, and is replaced
             if self.process.stdin is not None:
-                self.process.stdin.write(written(vehicles).encode() + b"\n")
+                self.process.stdin.write(written(vehicles, room).encode() + b"\n")
                 self.process.stdin.flush()
 
     def lines(self) -> list[str]:
@@ -118,13 +127,11 @@ class _Child:
         *whole, self._said = self._said.split(b"\n")
         return [text for line in whole if (text := line.decode("utf-8", "replace").strip()[:_LINE_MAX])]
 
-    def end(self, number: int) -> None:
-        """Asks it to end, and waits for a moment; one that lands somebody is left to that."""
+    def end(self) -> None:
+        """Lets go of it, and waits for a moment; one that has somebody in the air is left to that."""
         if self.process.stdin is not None:
             with suppress(OSError):
                 self.process.stdin.close()
-        with suppress(OSError):
-            self.process.send_signal(number)
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(_END_S)
         if self.process.stdout is not None:
@@ -148,7 +155,7 @@ class GatewayKeeper:
         self._lines: list[str] = []
         self._died_ns: int | None = None
         self._again_ns = _AGAIN_NS
-        self._serves.begin(handover_of(self._plan, None))
+        self._serves.begin(handover_of(self._plan, None), room_of(plan))
 
     @property
     def pid(self) -> int:
@@ -191,18 +198,18 @@ class GatewayKeeper:
         session.remark(
             "alarm", words if flying else f"the gateway's process has gone ({how}); another one begins", now_ns
         )
-        self._serves.end(signal.SIGTERM)
+        self._serves.end()
         self._serves, self._waits = self._waits or _Child(self._starts(self._words)), None
-        self._serves.begin(vehicles)
+        self._serves.begin(vehicles, room_of(self._plan))
         self._began_ns = now_ns
 
     def answer(self, session: Session) -> None:
         """It asks nothing."""
 
     def close(self) -> None:
-        """The flight is over: it ends, after it has landed whoever still flies."""
+        """The flight is over: it ends when nobody flies, and until then does what preflight has set it to."""
         for child in self._children:
-            child.end(signal.SIGINT)
+            child.end()
 
 
 def handover_of(plan: MissionPlan, session: Session | None) -> dict[int, Handover]:
@@ -224,8 +231,12 @@ def handover_of(plan: MissionPlan, session: Session | None) -> dict[int, Handove
 
 
 @contextmanager
-def serving(plan: MissionPlan, starts: Start = start) -> Iterator[tuple[GatewayKeeper, ...]]:
+def serving(plan: MissionPlan, keep: Sequence[int] = ()) -> Iterator[tuple[GatewayKeeper, ...]]:
     """Serves the mission's vehicles beside the block, where it has any behind a cflib address.
+
+    Args:
+        plan: the mission.
+        keep: descriptors that the gateway keeps open as long as it lives.
 
     Raises:
         UserError: cflib is not installed, or the radios do not carry the mission.
@@ -235,7 +246,7 @@ def serving(plan: MissionPlan, starts: Start = start) -> Iterator[tuple[GatewayK
         return
     need("crazyflie", f"link {next(iter(plan.crtp_links.values()))}")
     budget_of(plan)
-    keeper = GatewayKeeper(plan, starts)
+    keeper = GatewayKeeper(plan, lambda words: start(words, keep))
     try:
         yield (keeper,)
     finally:

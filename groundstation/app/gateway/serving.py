@@ -15,20 +15,26 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from groundstation.app.gateway.broadcasting import Broadcast, broadcasts
 from groundstation.app.gateway.cflib_edge import CflibVehicle, Heard, Inbox, start_drivers
 from groundstation.app.loop import FlightClock, Interrupts, Waiting
+from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.gateway.bridge import Bridge
-from groundstation.gateway.handover import Handover, read
+from groundstation.gateway.handover import Handover, RoomWord, read, read_room
+from groundstation.gateway.relay import Relay
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Frame, Splitters
+from groundstation.mocap.bodies import RoomConfig
 
 _TICK_NS = 10_000_000
 _RETRY_NS = 3_000_000_000
 _LATE_NS = 100_000_000
 _SAY_AGAIN_NS = 5_000_000_000
+_EARLY_NS = 15_000_000_000  # so long those that are said to fly are waited for
 
 
 @dataclass
@@ -56,6 +62,7 @@ class Gateway:
         handover: what is known of them, by system id, where another gateway served them before.
         since_ns: when the first gateway of this flight began, by the machine's monotonic clock; None for now. Vehicles
             whose time since start-up began anew would be taken for restarted.
+        room: where frames of the motion capture come in, and who makes poses of them while the flight is silent.
     """
 
     def __init__(
@@ -69,11 +76,12 @@ class Gateway:
         say: Callable[[str], None],
         handover: Mapping[int, Handover] | None = None,
         since_ns: int | None = None,
+        room: tuple[Link, Relay] | None = None,
     ) -> None:
-        self._handover = dict(handover or {})
+        self._handover, self._room, self._relays = dict(handover or {}), room, False
         self._out, self._clock, self._say = out, clock, say
         self.inbox = Inbox()
-        now_ns = clock.now_ns()
+        self._begun_ns = now_ns = clock.now_ns()
         boot_ns = None if since_ns is None else now_ns - (time.monotonic_ns() - since_ns)
         self._vehicles = [
             _Served(
@@ -93,7 +101,8 @@ class Gateway:
         for item in self._vehicles:
             told = self._told(item.sysid)
             if told.flies:
-                item.bridge.resume(told.home_enu_m, told.settings, self._clock.now_ns())
+                now_ns = self._clock.now_ns()
+                item.bridge.resume(told.home_enu_m, told.settings, now_ns, in_a_room=self._room is not None)
             item.link.connect(item.bridge.take_orders())
         if stay:
             self._say(f"vehicles {', '.join(str(item.sysid) for item in stay)} fly: they are told to stay")
@@ -103,8 +112,14 @@ class Gateway:
 
     @property
     def flying(self) -> list[int]:
-        """System ids of those that fly, by the last word heard of each."""
-        return [item.sysid for item in self._vehicles if item.bridge.pilot.supervisor.flies]
+        """System ids of those that fly, by the last word heard of each, or by what was told before any was heard."""
+        early = self._clock.now_ns() - self._begun_ns < _EARLY_NS
+        return [
+            item.sysid
+            for item in self._vehicles
+            if item.bridge.pilot.supervisor.flies
+            or (early and not item.bridge.heard_ever and self._told(item.sysid).flies)
+        ]
 
     @property
     def connected(self) -> list[int]:
@@ -142,6 +157,7 @@ class Gateway:
         for heard in self.inbox.take():
             self._take(heard, now_ns)
         self._out.service(now_ns)
+        self._relay(now_ns)
         for item in self._vehicles:
             if item.retry_ns is not None and now_ns >= item.retry_ns:
                 item.retry_ns = None
@@ -157,6 +173,24 @@ class Gateway:
                 item.link.obey(order)
             self._send(item.bridge.take_frames())
         return ready
+
+    def _relay(self, now_ns: int) -> None:
+        """Tells vehicles where they are while the flight does not."""
+        if self._room is None:
+            return
+        link, relay = self._room
+        told = {item.sysid: word for item in self._vehicles if (word := item.bridge.told_by_flight) is not None}
+        poses = relay.poses([data for _, data in link.receive()], told, now_ns)
+        for item in self._vehicles:
+            if item.sysid in poses:
+                item.bridge.see(poses[item.sysid], now_ns)
+        if bool(self._relays) != relay.speaks and (poses or not relay.speaks):
+            self._relays = relay.speaks
+            self._say(
+                "the flight is silent: where vehicles are is told to them by the gateway, from the motion capture"
+                if relay.speaks
+                else "the flight tells vehicles where they are again"
+            )
 
     def _send(self, frames: Sequence[bytes]) -> None:
         if not frames:
@@ -211,15 +245,34 @@ class Keeper:
         """A descriptor that can be read when it has ended."""
         return () if self.gone else (sys.stdin.fileno(),)
 
-    def handover(self) -> dict[int, Handover] | None:
-        """Waits for its word; None when it ends before that."""
-        line = sys.stdin.readline()
-        return read(line) if line else None
+    def handover(self) -> str | None:
+        """Waits for its word, see ``handover``; None when it ends before that."""
+        return sys.stdin.readline() or None
 
     def look(self) -> None:
         """Notices its end."""
         if not os.read(sys.stdin.fileno(), 4096):
             self.gone = True
+
+
+def _room(
+    stack: ExitStack,
+    word: RoomWord | None,
+    sysids: Sequence[int],
+    vehicles: Mapping[int, Handover],
+    say: Callable[[str], None],
+) -> tuple[Link, Relay] | None:
+    """The room of a flight, where it has one that can be heard."""
+    if word is None:
+        return None
+    try:
+        link = stack.enter_context(closing(open_link(word.link)))
+    except UserError as error:
+        say(f"{error}; where vehicles are is told to them by the flight alone")
+        return None
+    pads = np.array([vehicles.get(sysid, Handover()).home_enu_m or (0.0, 0.0, 0.0) for sysid in sysids])
+    config = RoomConfig(0, word.link, tuple(sysids), frames.ned_from_enu(pads), word.by_place, word.speed_m_s)
+    return link, Relay(config, word.hz)
 
 
 def serve(
@@ -231,6 +284,7 @@ def serve(
     say: Callable[[str], None],
     broadcast: bool = False,
     kept_since_ns: int | None = None,
+    room: RoomWord | None = None,
 ) -> dict[str, int]:
     """Serves vehicles until it is told to end.
 
@@ -242,6 +296,7 @@ def serve(
         say: takes lines for people.
         broadcast: poses from outside go to several vehicles in one packet, where they share a radio.
         kept_since_ns: a flight has started it, then, by the machine's monotonic clock, and speaks by standard input.
+        room: by what the vehicles are told where they are while the ground station does not; a flight says its own.
 
     Returns:
         Counts for the answer.
@@ -254,9 +309,9 @@ def serve(
     except OSError as error:
         raise UserError(f"{cache}: {error.strerror}; name another folder with --cache") from error
     keeper = None if kept_since_ns is None else Keeper()
-    handover = keeper.handover() if keeper is not None else {}
+    word = keeper.handover() if keeper is not None else "{}"
     counts = {"vehicles": len(uris), "connected": 0, "left_flying": 0, "frames_in": 0, "frames_out": 0}
-    if handover is None:
+    if word is None:
         return counts
     interrupts = Interrupts()
     with ExitStack() as stack:
@@ -270,8 +325,9 @@ def serve(
                     cache=cache,
                     pose_hz=pose_hz,
                     say=say,
-                    handover=handover,
+                    handover=(handover := read(word)),
                     since_ns=kept_since_ns,
+                    room=_room(stack, read_room(word) or room, list(uris), handover, say),
                 )
             )
         )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import NoReturn, Protocol
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 from groundstation.mavlink.mocap_frames import RoomEncoder
-from groundstation.mocap.bodies import turned
+from groundstation.mocap.bodies import relay_port, turned
 
 SYSTEMS = ("vicon", "optitrack", "optitrack_closed_source", "qualisys", "nokov", "vrpn", "motionanalysis", "mock")
 """As ``motioncapture`` names them."""
@@ -67,22 +68,21 @@ class System(Protocol):
 
 
 class Wire:
-    """Where frames are sent.
+    """Where frames are sent: to the flight, and to its gateway, which needs them when the flight is killed.
 
     Args:
         host, port: of the ground station.
     """
 
     def __init__(self, host: str, port: int) -> None:
-        self._address = (host, port)
+        self._addresses = (host, port), (host, relay_port(port))
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def send(self, data: bytes) -> None:
         """Sends a datagram; one that nobody takes is gone."""
-        try:
-            self._socket.sendto(data, self._address)
-        except OSError:
-            return
+        for address in self._addresses:
+            with suppress(OSError):
+                self._socket.sendto(data, address)
 
     def close(self) -> None:
         """Gives the socket back."""
