@@ -75,7 +75,7 @@ class Scene:
         poses = self.monitor.trusted(
             Poses(self.pos, self.vel, self.fleet.quat_ned_from_frd, np.zeros(len(self.fleet), dtype=np.bool_)),
             pose_ns,
-            self.fleet.armed.copy(),
+            self.fleet.armed & ~self.stands,
             self.now_ns,
         )
         self.poses = poses

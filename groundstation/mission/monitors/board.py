@@ -125,7 +125,8 @@ class Board:
             airborne: who flies, shape (n,).
             now_ns: time of the tick.
         """
-        self.resting.take(poses.pos_team_ned_m, airborne)
+        led_astray_m_s = np.where(self._jumps.drifting, 0.0, self.speeds.rms_m_s)
+        self.resting.take(poses.pos_team_ned_m, airborne, led_astray_m_s)
         self._traffic.take(poses.intruders)
         trusted = self._jumps.take(
             poses, pose_ns, self.speeds.rms_m_s, now_ns, airborne=airborne, good=self.speeds.good, calm=self.speeds.calm
