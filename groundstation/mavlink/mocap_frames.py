@@ -1,7 +1,8 @@
 """Frames of a motion capture system as MAVLink: ATT_POS_MOCAP, one for each body, together in a datagram.
 
 A body that is named after a vehicle goes under system id 253 and that vehicle's id as component; one without such a
-name under system id 252 and its number in the frame, from 1 on. All of one instant have the system's own time stamp. So
+name under system id 252 and its number in the frame, from 1 on; one that the mission names as an obstacle under 251 and
+its number there, from 1 on. All of one instant have the system's own time stamp. So
 they are in the log, as they came.
 
 What a vehicle is told of its own pose is a VISION_POSITION_ESTIMATE of the ground station; a gateway, behind which are
@@ -20,9 +21,11 @@ from groundstation.core import frames
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, Frame, decode, message_id
 from groundstation.mocap.bodies import RoomFrame
+from groundstation.mocap.others import FIRST_ROW
 from groundstation.mocap.room import Room
 
-BODY_SYSID, UNNAMED_SYSID = 253, 252
+BODY_SYSID, UNNAMED_SYSID, OTHER_SYSID = 253, 252, 251
+ROOM_SYSIDS = (BODY_SYSID, UNNAMED_SYSID, OTHER_SYSID)
 PACKED_TYPE = 0xA000
 _PACKED = struct.Struct("<Bfffffff")
 _PACKED_MAX = 4
@@ -50,7 +53,7 @@ class RoomEncoder:
 
         Args:
             stamp_us: by the system's own clock, > 0; 0 where it has none.
-            sysids: vehicle that each body is named after, None for those without such a name.
+            sysids: vehicle that each body is named after, -k for the k-th obstacle, None for those without such a name.
             pos_ned_m: shape (k, 3).
             quat_ned_from_frd: shape (k, 4), NaN where only a place is known.
         """
@@ -58,7 +61,10 @@ class RoomEncoder:
         for k, sysid in enumerate(sysids):
             if sysid is None and k >= _UNNAMED_MAX:
                 continue
-            encoder = self._encoder(UNNAMED_SYSID, k + 1) if sysid is None else self._encoder(BODY_SYSID, sysid)
+            if sysid is None:
+                encoder = self._encoder(UNNAMED_SYSID, k + 1)
+            else:
+                encoder = self._encoder(BODY_SYSID, sysid) if sysid > 0 else self._encoder(OTHER_SYSID, -sysid)
             north, east, down = pos_ned_m[k].tolist()
             quat = quat_ned_from_frd[k].tolist()
             made.append(encoder.encode("ATT_POS_MOCAP", time_usec=stamp_us, q=quat, x=north, y=east, z=down))
@@ -124,15 +130,13 @@ def room_frames(received: Sequence[tuple[Frame, int]], row_of: Mapping[int, int]
         received: frames and their arrivals, in order.
         row_of: vehicles by system id.
     """
-    bodies = [(frame, t_ns) for frame, t_ns in received if frame.msgid == _MESSAGE and frame.sysid in _SYSTEMS]
+    bodies = [(frame, t_ns) for frame, t_ns in received if frame.msgid == _MESSAGE and frame.sysid in ROOM_SYSIDS]
     if not bodies:
         return
     values = decode([frame for frame, _ in bodies])[0].values
     stamp_us = values["time_usec"].astype(np.int64)
     t_ns = np.array([t for _, t in bodies], dtype=np.int64)
-    row: IntArray = np.array(
-        [row_of.get(frame.compid, -1) if frame.sysid == BODY_SYSID else -1 for frame, _ in bodies], dtype=np.int64
-    )
+    row: IntArray = np.array([_row(frame, row_of) for frame, _ in bodies], dtype=np.int64)
     place = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
     quat = values["q"].astype(np.float64)
     norm = np.linalg.norm(quat, axis=1)
@@ -145,6 +149,13 @@ def room_frames(received: Sequence[tuple[Frame, int]], row_of: Mapping[int, int]
         yield RoomFrame(stamp_ns, int(t_ns[first]), row[part], place[part], quat[part])
 
 
+def _row(frame: Frame, row_of: Mapping[int, int]) -> int:
+    """Whose body it is, as ``RoomFrame`` has it."""
+    if frame.sysid == OTHER_SYSID:
+        return FIRST_ROW + 1 - frame.compid if frame.compid else -1
+    return row_of.get(frame.compid, -1) if frame.sysid == BODY_SYSID else -1
+
+
 def room_words(received: Sequence[tuple[Frame, int]]) -> list[str]:
     """What the system has to say to people."""
     texts = [frame for frame, _ in received if frame.msgid == _TEXT and frame.sysid == BODY_SYSID]
@@ -155,5 +166,4 @@ def room_words(received: Sequence[tuple[Frame, int]]) -> list[str]:
     ]
 
 
-_SYSTEMS = (BODY_SYSID, UNNAMED_SYSID)
 _ROTATION_OFF = 0.05

@@ -9,7 +9,7 @@ import numpy as np
 from groundstation.core.metrics import min_clearance, min_distance_m
 from groundstation.core.quick import some
 from groundstation.core.types import FloatArray, IntArray
-from groundstation.mission.flight.intruders import intruders
+from groundstation.mission.flight.intruders import intruders, with_bodies
 from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.phases.machine import Machine
@@ -42,7 +42,9 @@ class Lookout:
         """
         team, board, roster = self._team, self._team.board, self._team.roster
         fleet, pose_ns = team.fleet, team.frame.pose_ns(team.fleet)
-        flying = intruders(team.plan.spec.traffic, team.frame.placement, fleet.traffic, now_ns)
+        plan, others = team.plan, None if fleet.room is None else fleet.room.others
+        flying = intruders(plan.spec.traffic, team.frame.placement, fleet.traffic, now_ns)
+        flying = with_bodies(flying, plan.moving_bodies, others, plan.limits.lost_radius_m, now_ns)
         poses = poses if poses.intruders is flying else changed(poses, intruders=flying)
         poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
         findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))

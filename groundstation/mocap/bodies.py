@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.types import FloatArray, IntArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 MM = 0.001
 LINK = "udpin://127.0.0.1:14595"
@@ -37,6 +37,7 @@ class RoomConfig:
         pads_ned_m: where they stand before takeoff, shape (n, 3).
         by_place: bodies are told apart by where they stand and fly, not by their names.
         speed_m_s: no vehicle is faster.
+        others: names of bodies that are no vehicles and are looked for as well.
     """
 
     link: int
@@ -45,6 +46,7 @@ class RoomConfig:
     pads_ned_m: FloatArray
     by_place: bool
     speed_m_s: float
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ class RoomFrame:
     Attributes:
         stamp_ns: by the system's own clock; -1 where it has none.
         t_rx_ns: arrival, on our clock.
-        row: vehicle that each body is named after, -1 for those that have no such name, shape (k,).
+        row: vehicle that each body is named after, -1 for those that have no such name, -2 for the first of the
+            ``others``, -3 for the second and so on, shape (k,).
         pos_ned_m: shape (k, 3).
         quat_ned_from_frd: shape (k, 4); NaN where only a place is known.
     """
@@ -64,6 +67,12 @@ class RoomFrame:
     row: IntArray
     pos_ned_m: FloatArray
     quat_ned_from_frd: FloatArray
+
+    def only(self, rows: BoolArray) -> RoomFrame:
+        """Some of its bodies, shape (k,)."""
+        return RoomFrame(
+            self.stamp_ns, self.t_rx_ns, self.row[rows], self.pos_ned_m[rows], self.quat_ned_from_frd[rows]
+        )
 
 
 def room_config(mission: Mapping[str, object], url: str | None, links: int) -> RoomConfig | None:
@@ -88,6 +97,9 @@ def room_config(mission: Mapping[str, object], url: str | None, links: int) -> R
         pads_ned_m=frames.ned_from_enu(pads),
         by_place=given.get("bodies") == "place",
         speed_m_s=max(1.0, 3.0 * float(str(mission.get("speed_limit_m_s", 0.5)))),
+        others=tuple(
+            str(item["body"]) for item in cast("Sequence[Mapping[str, object]]", given.get("obstacles") or ())
+        ),
     )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mocap.bodies import RoomConfig, RoomFrame
 from groundstation.mocap.ground import pads_words
+from groundstation.mocap.others import FIRST_ROW, OtherBodies
 from groundstation.mocap.stamps import FrameClock
 
 SECOND_NS = 1_000_000_000
@@ -25,6 +26,7 @@ NEVER = np.iinfo(np.int64).min // 2
 GONE_NS = 300_000_000
 """Without a frame for so long, people are told."""
 UNSEEN_NS = 200_000_000
+_OTHER_UNSEEN_NS = 500_000_000
 _SLACK_M = 0.10  # noise, and what a velocity is off
 _REACH_MAX_M = 1.0
 _FROZEN_NS = 150_000_000
@@ -70,6 +72,7 @@ class Room:
         counts: what was not believed, by why.
         gone: no frame has come for a while, of anybody.
         lateness_ns: of the newest frame, against the quickest that ever came.
+        others: bodies that are no vehicles.
     """
 
     def __init__(self, config: RoomConfig) -> None:
@@ -82,6 +85,8 @@ class Room:
         self.resets: IntArray = np.zeros(n, dtype=np.int64)
         self.counts: Counter[str] = Counter()
         self.gone = False
+        self.others = OtherBodies(len(config.others))
+        self._others_lost: BoolArray = np.zeros(len(config.others), dtype=np.bool_)
         self._clock = FrameClock()
         self._held = self._late = False
         self._name: IntArray = np.arange(n, dtype=np.int64)  # by whose name each vehicle's body goes
@@ -124,6 +129,10 @@ class Room:
             self._pace(frame.t_rx_ns)
         self._stamp_ns = frame.stamp_ns
         measured_ns = self._clock.measured_ns(frame.stamp_ns, frame.t_rx_ns)
+        others: BoolArray = np.asarray(frame.row <= FIRST_ROW)
+        if others.any():
+            self.others.take(frame.only(others), measured_ns)
+            frame = frame.only(~others)
         frame = self._sound(frame, measured_ns)
         body_of = self._followed(frame, measured_ns) if self._held else self._named(frame)
         row = np.array(sorted(body_of), dtype=np.int64)
@@ -159,6 +168,8 @@ class Room:
                 " between, and to the load of both computers"
             )
         self._late = late
+        if self._held:
+            self._look_at_others(now_ns)
         if late or not self._held or now_ns - self._frame_ns > UNSEEN_NS:  # then it is not the bodies
             return
         unseen = (self.measured_ns != NEVER) & (now_ns - self.measured_ns > UNSEEN_NS)
@@ -167,6 +178,19 @@ class Room:
             age_s = (now_ns - int(self.measured_ns[vehicle])) / SECOND_NS
             self._news.append(f"vehicle {self.config.ids[vehicle]}: its body {why}; last seen {age_s:.2f} s ago")
         self._unseen |= unseen
+
+    def _look_at_others(self, now_ns: int) -> None:
+        """Tells of bodies that are obstacles and are not seen any more, and of those that are again."""
+        age_ns = now_ns - self.others.measured_ns
+        lost: BoolArray = np.asarray(age_ns > _OTHER_UNSEEN_NS)
+        for k in (lost & ~self._others_lost).nonzero()[0].tolist():
+            self._news.append(
+                f"motion capture: body {self.config.others[k]} is not seen; the team keeps away from where it was seen"
+                " last, and farther the longer that is ago; see to its markers"
+            )
+        for k in (~lost & self._others_lost).nonzero()[0].tolist():
+            self._news.append(f"motion capture: body {self.config.others[k]} is seen again")
+        self._others_lost = lost
 
     def say(self, text: str) -> None:
         """Passes on what the system says to people."""
@@ -191,6 +215,12 @@ class Room:
         if self._clock.lateness_ns > _LATE_NS:
             late = f"the motion capture's newest frame came {self._clock.lateness_ns / 1e6:.0f} ms late"
             return f"{late}, limit {_LATE_NS / 1e6:.0f} ms; see to the network between, and to the load of its computer"
+        if (missing := (now_ns - self.others.measured_ns > _FRESH_NS)).any():
+            names = ", ".join(self.config.others[k] for k in missing.nonzero()[0])
+            return (
+                f"no body {names} in the motion capture's frames (positioning.obstacles); define it there, see to its"
+                " markers, or take it out of the mission"
+            )
         seen = now_ns - self.measured_ns <= _FRESH_NS
         if seen.any() and (found := pads_words(self.config, np.where(seen[:, None], self.pos_ned_m, np.nan))[vehicle]):
             return found
@@ -228,9 +258,7 @@ class Room:
                 good[k] = False
                 self.counts["motion capture: frozen bodies"] += 1
                 self._why[vehicle] = "is frozen: its position is the same to the last bit in every frame"
-        return RoomFrame(
-            frame.stamp_ns, frame.t_rx_ns, frame.row[good], frame.pos_ned_m[good], frame.quat_ned_from_frd[good]
-        )
+        return frame.only(good)
 
     def _named(self, frame: RoomFrame) -> dict[int, int]:
         """On the ground: bodies by their names, or by the pads that they stand on: number in the frame by vehicle."""

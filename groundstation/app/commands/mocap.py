@@ -40,6 +40,9 @@ def mocap(
     system: Annotated[str | None, typer.Option(help="Kind of system: vicon, optitrack, qualisys, vrpn, ...")] = None,
     host: Annotated[str | None, typer.Option(help="Where it streams from.")] = None,
     body: Annotated[list[str] | None, typer.Option(help="Name of a body and its vehicle, NAME=ID; once each.")] = None,
+    obstacle: Annotated[
+        list[str] | None, typer.Option(help="Name of a body that is an obstacle, in the mission's order; once each.")
+    ] = None,
     link: Annotated[str | None, typer.Option(help=f"Where the flight listens, as in the mission; {_LINK}.")] = None,
     up: Annotated[str, typer.Option(help="Axis of the system that points up: z or y.")] = "z",
     unit: Annotated[str, typer.Option(help="Its unit: m or mm.")] = "m",
@@ -108,6 +111,7 @@ def mocap(
 
                 served = stack.enter_context(closing(VrpnServer(port=vrpn)))
                 names = {vehicle.id: vehicle.body_name for vehicle in plan.spec.vehicles}
+                names |= {-number: item.body for number, item in enumerate(plan.moving_bodies, start=1)}
                 where = f"by VRPN on 127.0.0.1:{vrpn}"
 
                 def send(data: bytes) -> None:
@@ -128,7 +132,9 @@ def mocap(
         from groundstation.app.mocap.process import end_with_stdin
 
         end_with_stdin()
-    reader = Reader(ids | _bodies(body or []), up=up, unit=unit)
+    named = obstacle or ([] if plan is None else [item.body for item in plan.moving_bodies])
+    others = {name: -number for number, name in enumerate(named, start=1)}
+    reader = Reader(others | ids | _bodies(body or []), up=up, unit=unit)
     say(f"reads {system} at {host}, sends to udp {host_of_flight}:{at.port}")
     read(connect(system, host), reader, wire)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from groundstation.app.gateway.emulated import GatewayWorld, RadioConfig
-from groundstation.app.mocap.fake import FakeConfig, FakeRoom
+from groundstation.app.mocap.fake import FakeConfig, FakeRoom, aside
 from groundstation.core import frames
 from groundstation.mission.plan.plan import MissionPlan
 from sitl.world import Outgoing, World
@@ -66,5 +66,5 @@ def emulated_team(
     room = plan.room()
     if room is None:
         return team
-    config = fake or FakeConfig(names=not room.by_place)
+    config = fake or FakeConfig(names=not room.by_place, others=aside(plan))
     return RoomWorld(team, world, FakeRoom(config, room.ids, seed))

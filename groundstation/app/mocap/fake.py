@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core import frames
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.mocap_frames import RoomEncoder
+from groundstation.mission.plan.plan import MissionPlan
 
 SECOND_NS = 1_000_000_000
 _STARTED_NS = 3_600 * SECOND_NS  # its clock has run for an hour
@@ -45,6 +47,7 @@ class FakeConfig:
         jitter_s: up to so much longer.
         names: bodies carry names; else they are markers without.
         faults: what goes wrong.
+        others: where bodies that are obstacles are, NED, at a time in seconds, shape (3,); None where not seen.
     """
 
     hz: float = 100.0
@@ -54,6 +57,7 @@ class FakeConfig:
     jitter_s: float = 0.003
     names: bool = True
     faults: Sequence[RoomFault] = ()
+    others: Sequence[Callable[[float], FloatArray | None]] = ()
 
 
 class FakeRoom:
@@ -119,8 +123,29 @@ class FakeRoom:
             pos, quat, there = pos[order], np.full((n, 4), np.nan), there[order]
             whose = [None] * n
         kept = there.nonzero()[0].tolist()
-        data = self._encoder.datagram((now_ns + _STARTED_NS) // 1000, [whose[k] for k in kept], pos[kept], quat[kept])
+        names = [whose[k] for k in kept]
+        pos, quat = pos[kept], quat[kept]
+        for number, where in enumerate(config.others, start=1):
+            place = where(now_ns / SECOND_NS)
+            if place is not None:
+                names.append(-number)
+                pos = np.vstack([pos, place + rng.normal(0.0, config.noise_m, 3)])
+                quat = np.vstack([quat, [1.0, 0.0, 0.0, 0.0]])
+        data = self._encoder.datagram((now_ns + _STARTED_NS) // 1000, names, pos, quat)
         return now_ns + round(late_s * SECOND_NS), data
+
+
+def aside(plan: MissionPlan) -> list[Callable[[float], FloatArray | None]]:
+    """Obstacles that stand still, beside the fence and out of everybody's way."""
+    fence = plan.spec.fence
+    pads = plan.pads_enu_m
+    low, high = (pads.min(axis=0), pads.max(axis=0)) if fence is None else (fence.min_m, fence.max_m)
+    away_m = 2.0 * plan.obstacles.keep_m + plan.spec.avoidance.activation_m
+    places = [
+        frames.ned_from_enu(np.array([high[0] + 2.0 * item.radius_m + away_m, low[1] - number, 0.0]))
+        for number, item in enumerate(plan.moving_bodies)
+    ]
+    return [lambda _time_s, place=place: place for place in places]  # type: ignore[misc]
 
 
 Truth = Callable[[], tuple[FloatArray, FloatArray]]

@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 
 from groundstation.core.errors import CheckFailed
-from groundstation.mavlink.mocap_frames import BODY_SYSID, UNNAMED_SYSID
+from groundstation.mavlink.mocap_frames import BODY_SYSID, ROOM_SYSIDS
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import Received
 from groundstation.records.tlog import read_tlog
@@ -23,7 +23,7 @@ def recorded(log: Path) -> Iterator[tuple[int, bytes]]:
     frames = (
         record
         for record in read_tlog(log, None if manifest is None else manifest.epoch_unix_us)
-        if isinstance(record, Received) and record.frame.sysid in (BODY_SYSID, UNNAMED_SYSID)
+        if isinstance(record, Received) and record.frame.sysid in ROOM_SYSIDS
     )
     for t_ns, together in groupby(frames, lambda record: record.t_ns):
         yield t_ns, b"".join(record.frame.raw for record in together)

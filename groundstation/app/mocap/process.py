@@ -51,6 +51,8 @@ def reading(plan: MissionPlan) -> Iterator[tuple[int, ...]]:
     ]
     for vehicle in plan.spec.vehicles if given.bodies == "name" else ():
         words += ["--body", f"{vehicle.body_name}={vehicle.id}"]
+    for item in given.obstacles:
+        words += ["--obstacle", item.body]
     package = Path(__file__).parents[2]
     command = [sys.executable, "-m", package.name, "mocap", "read", *words, "--kept"]
     ends, holds = os.pipe()

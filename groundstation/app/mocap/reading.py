@@ -113,7 +113,7 @@ class Reader:
     """Turns frames of a system into datagrams.
 
     Args:
-        ids: system ids of the vehicles by the names of their bodies.
+        ids: system ids of the vehicles by the names of their bodies; of obstacles -1, -2 and so on.
         up, unit: as the mission says; see ``turned``.
 
     Attributes:

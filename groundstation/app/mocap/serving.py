@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from groundstation.app.emulator import world_config
-from groundstation.app.mocap.fake import FakeConfig, FakeRoom, RoomFault
+from groundstation.app.mocap.fake import FakeConfig, FakeRoom, RoomFault, aside
 from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.mission.plan.plan import MissionPlan
@@ -61,11 +61,10 @@ def fake_server(
     port = port or kind.first_port or next((address.port for address in plan.addresses), _PORT)
     room = plan.room()
     names = room is None or not room.by_place
-    fake = FakeRoom(
-        FakeConfig(hz=hz, noise_m=noise_m, names=names, faults=faults), [v.sysid for v in config.vehicles], seed
-    )
+    fake = FakeConfig(hz=hz, noise_m=noise_m, names=names, faults=faults, others=aside(plan))
+    sees = FakeRoom(fake, [vehicle.sysid for vehicle in config.vehicles], seed)
     try:
-        return Server(config, seed, port=port), ServedRoom(fake)
+        return Server(config, seed, port=port), ServedRoom(sees)
     except (OSError, ValueError) as error:
         raise UserError(f"gs mocap fake: {error}") from error
 

@@ -22,7 +22,7 @@ from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
 from groundstation.gateway.measured import enu_from_flu
 from groundstation.mavlink.codec import Frame, FrameSplitter, decode
-from groundstation.mavlink.mocap_frames import BODY_SYSID
+from groundstation.mavlink.mocap_frames import BODY_SYSID, OTHER_SYSID
 
 PORT = 3883
 _COOKIE = b"vrpn: ver. 07.38  0".ljust(24, b"\0")
@@ -178,7 +178,7 @@ def bodies_of(data: bytes, names: Mapping[int, str]) -> tuple[int, dict[str, tup
 
     Args:
         data: as ``mavlink.mocap_frames`` makes it.
-        names: of bodies, by system id.
+        names: of bodies, by system id; of obstacles by -1, -2 and so on.
 
     Returns:
         Time stamp, us, and place (x east, y north, z up) and quaternion x y z w by name; a body without an attitude
@@ -187,8 +187,9 @@ def bodies_of(data: bytes, names: Mapping[int, str]) -> tuple[int, dict[str, tup
     stamp_us, found = 0, {}
     pieces = [piece for piece in FrameSplitter().feed(data) if isinstance(piece, Frame)]
     for batch in decode(pieces):
-        for sysid, number, values in zip(batch.sysid.tolist(), batch.compid.tolist(), batch.values, strict=True):
-            own = names.get(number) if sysid == BODY_SYSID else f"marker{number}"
+        for sysid, compid, values in zip(batch.sysid.tolist(), batch.compid.tolist(), batch.values, strict=True):
+            number = -compid if sysid == OTHER_SYSID else compid
+            own = names.get(number) if sysid in (BODY_SYSID, OTHER_SYSID) else f"marker{number}"
             quat = [float(value) for value in values["q"]]
             turn = enu_from_flu(*quat) if all(map(math.isfinite, quat)) else (0.0, 0.0, 0.0, 1.0)
             place = frames.ned_from_enu(np.array([float(values[axis]) for axis in "xyz"]))

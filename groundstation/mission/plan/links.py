@@ -10,7 +10,7 @@ from groundstation.mavlink.addresses import GATEWAY_LINK, LinkAddress, is_crtp, 
 from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan.gateway_spec import GatewaySpec
-from groundstation.mission.plan.positioning_spec import PositioningSpec
+from groundstation.mission.plan.positioning_spec import MovingBodySpec, PositioningSpec
 from groundstation.mission.plan.schema import MissionSpec, VehicleSpec
 from groundstation.mocap.bodies import LINK, RoomConfig, room_config
 
@@ -66,6 +66,12 @@ class LinkPlan:
     def gateway(self) -> GatewaySpec:
         """What that gateway is like."""
         return self.spec.gateway or GatewaySpec()
+
+    @property
+    def moving_bodies(self) -> tuple[MovingBodySpec, ...]:
+        """Bodies of the motion capture that are obstacles."""
+        given = self.spec.positioning
+        return given.obstacles if isinstance(given, PositioningSpec) else ()
 
     def room(self) -> RoomConfig | None:
         """Whom to look for in the frames of a motion capture system; None where the mission has none."""
@@ -207,6 +213,12 @@ def room_link(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) 
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None and given.bodies == "name":
         raise UserError(f"{source}: vehicles[].body: {twice} stands twice; every vehicle's body has a name of its own")
+    for number, item in enumerate(given.obstacles):
+        if item.body in names:
+            raise UserError(
+                f"{source}: positioning.obstacles[{number}].body: {item.body} is that of vehicle"
+                f" {spec.vehicles[names.index(item.body)].id}; an obstacle's body has a name of its own"
+            )
     return address
 
 
