@@ -20,6 +20,8 @@ _BITS_S = dict(zip(RADIO_RATES, (250e3, 1e6, 2e6), strict=True))
 USABLE = 0.6
 """Of the transactions: the rest is for losses, which are sent again, and for asking those that have nothing to say."""
 _STATUS_HZ, _OTHER_HZ = 2.0, 2.0
+_RETRIES_OFF_AND_ON = 1.0
+"""What it costs to end the sending again before broadcasts and to begin it after them: two requests by USB, a guess."""
 LEAST_HZ = 10.0
 """The authors of the paper needed 10 Hz or more for each vehicle."""
 
@@ -57,7 +59,7 @@ def transactions(vehicles: int, rates: Rates) -> float:
     """What so many vehicles on one radio cost, transactions a second."""
     up = rates.setpoint_hz + _OTHER_HZ + (0.0 if rates.broadcast else rates.pose_hz)
     down = rates.log_hz + _STATUS_HZ
-    shared = rates.pose_hz * math.ceil(vehicles / PACKED) if rates.broadcast else 0.0
+    shared = rates.pose_hz * (math.ceil(vehicles / PACKED) + _RETRIES_OFF_AND_ON) if rates.broadcast else 0.0
     return vehicles * max(up, down) + shared
 
 

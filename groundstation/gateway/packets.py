@@ -40,24 +40,30 @@ _ECHO = b"\x67gs"
 _ECHO_BYTES = 9  # as long as those of cflib, which unpacks all that comes back, and knows its own by the first byte
 PACKED = 2
 """Poses in one packet: 11 bytes each, of 29."""
+_PLACES_CHANNEL, _PLACES_PACKED = 2, 4  # 7 bytes each, of 30
 
 
 def packed_poses(poses: Mapping[int, ExternalPose]) -> list[bytes]:
-    """External poses of several vehicles, as packets for all of them; those without an attitude are left level.
+    """External poses of several vehicles, as packets for all of them; of those without an attitude places alone.
 
     Args:
         poses: by the last byte of the vehicle's radio address, by which it knows its own.
     """
-    made = []
-    numbers = list(poses)
-    for first in range(0, len(numbers), PACKED):
-        data = struct.pack("<B", _POSE_PACKED)
-        for number in numbers[first : first + PACKED]:
-            quat = poses[number].quat_enu_from_flu or (0.0, 0.0, 0.0, 1.0)
-            place_mm = (max(-32768, min(32767, round(1000.0 * v))) for v in poses[number].pos_enu_m)
-            data += struct.pack("<BhhhI", number, *place_mm, packed_quaternion(*quat))
-        made.append(packet(LOCALISATION, 1, data))
-    return made
+    lying, placed = [], []
+    for number, pose in poses.items():
+        item = struct.pack("<Bhhh", number, *(max(-32768, min(32767, round(1000.0 * v))) for v in pose.pos_enu_m))
+        if pose.quat_enu_from_flu is None:
+            placed.append(item)
+        else:
+            lying.append(item + struct.pack("<I", packed_quaternion(*pose.quat_enu_from_flu)))
+    made = [
+        packet(LOCALISATION, 1, struct.pack("<B", _POSE_PACKED) + b"".join(lying[first : first + PACKED]))
+        for first in range(0, len(lying), PACKED)
+    ]
+    return made + [
+        packet(LOCALISATION, _PLACES_CHANNEL, b"".join(placed[first : first + _PLACES_PACKED]))
+        for first in range(0, len(placed), _PLACES_PACKED)
+    ]
 
 
 def packed_quaternion(x: float, y: float, z: float, w: float) -> int:
