@@ -7,6 +7,7 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -125,19 +126,19 @@ def test_broadcasts_go_where_every_crazyflie_listens_once_each_and_places_withou
     pytest.importorskip("cflib", reason="cflib is not installed")
     from groundstation.app.gateway import broadcasting
 
-    done: list[tuple[str, object]] = []
+    done: list[tuple[str, Any]] = []
     sent = threading.Event()
 
     class Radio:
-        def __getattr__(self, name: str) -> Callable[[object], None]:
-            def note(value: object = None) -> None:
+        def __getattr__(self, name: str) -> Callable[[Any], None]:
+            def note(value: Any = None) -> None:
                 done.append((name, value))
                 if name == "set_arc" and value:
                     sent.set()
 
             return note
 
-    monkeypatch.setattr(broadcasting.RadioManager, "open", lambda _number: Radio())
+    monkeypatch.setattr("cflib.crtp.radiodriver.RadioManager.open", lambda _number: Radio())
     uris = {k: f"radio://0/80/2M/E7E7E7E70{k}" for k in (1, 2, 3)} | {4: "radio://0/80/2M/AABBCCDD04"}
     (one,) = broadcasting.broadcasts(uris | {9: "radio://0/80/2M/AABBCCDD05", 5: "radio://0/80/2M/E7E7E7E705"})
     assert one.sysids == [1, 2, 3, 4]  # 5 and 9 end alike
@@ -149,7 +150,7 @@ def test_broadcasts_go_where_every_crazyflie_listens_once_each_and_places_withou
     assert [name for name, _ in done if name in ("set_arc", "send_packet")] == [
         "set_arc", "send_packet", "send_packet", "set_arc",
     ]  # fmt: skip
-    with_attitude, place = (bytes(value) for name, value in done if name == "send_packet")  # type: ignore[arg-type]
+    with_attitude, place = (bytes(value) for name, value in done if name == "send_packet")
     # As extPosePackedItem and extPositionPackedItem of the firmware: id, millimetres, and the compressed quaternion.
     assert with_attitude[1:2] + with_attitude[2:9] == b"\x09" + struct.pack("<Bhhh", 1, 1000, 2000, 500)
     assert len(with_attitude) == 1 + 1 + 11
