@@ -39,6 +39,8 @@ def test_a_team_with_poor_velocities_completes_its_mission_and_keeps_r() -> None
     assert not any("wind of" in note.text for note in flight.notes)  # the air is calm
     assert flight.world.min_distance_airborne_m > plan.spec.avoidance.radius_m
     assert np.isfinite(flight.runner.figures.time_to_form_s)
+    swayed = "formed while vehicles swayed (gusts, poor velocities): the tolerance was 0.4 m, and "
+    assert any(text.startswith(swayed) for text in flight.texts("info"))
     # An autopilot swings by its poor velocity on its way down: only the last metre is left to it.
     assert "velocities are poor: all are led down to 1 m, and land from there" in flight.texts("info")
     assert sorted(heights_m) == [0, 1]

@@ -48,7 +48,8 @@ class Forming(StepFlight):
         if self._held(within, now.now_ns):
             took_s = (self._held.since_ns - self._since_ns) / SECOND_NS
             if now.sway_m:
-                flown.tell(f"formed in gusts: the tolerance was {now.allowed(step.tolerance_m)}")
+                allowed = now.allowed(step.tolerance_m)
+                flown.tell(f"formed while vehicles swayed (gusts, poor velocities): the tolerance was {allowed}")
             if len(flown.plan.stages) > 1:
                 flown.tell(f"formed {flown.stage.formation.name} after {took_s:.2f} s")
             self._tell_size(now.poses)
