@@ -32,6 +32,7 @@ Figures = dict[str, float | int | None]
 _RADIUS_M, _APART_M, _SPEED_M_S = 0.45, 0.5, 0.5
 _WITHIN_M = 0.1
 _STEADY_S, _HELD_S, _LONGEST_S = 1.0, 3.0, 60.0
+_SETTLING_S, _REST_S = 10.0, 5.0  # what is left of errors dies out first: it is no swinging
 _ROOM_M, _LEVEL_M2 = 3.0, 0.8
 
 
@@ -45,6 +46,7 @@ class Race:
         jerkiness_m_s2: how fast what was told changed until then, root mean square.
         effort_m2_s3: true acceleration squared over that time, mean of the vehicles.
         held_m_s: what was told in the three seconds after that second, one axis, root mean square; None: not formed.
+        rest_m_s: the same from the tenth to the fifteenth second after it.
     """
 
     formed_s: float | None
@@ -52,6 +54,7 @@ class Race:
     jerkiness_m_s2: float
     effort_m2_s3: float
     held_m_s: float | None
+    rest_m_s: float | None
 
 
 def run(
@@ -87,6 +90,7 @@ def run(
         "change m/s2",
         "effort",
         "held m/s",
+        "at rest m/s",
         title=f"bench law, {seeds} starts each",
     )
     for formation in formations:
@@ -177,7 +181,7 @@ def _races(plan: MissionPlan, profile: str, start: str, name: str, seeds: int) -
 
 
 def race(formation: Formation, plant: Plant, rival: Rival) -> Race:
-    """Flies until the formation has stood for a second, and three more; a minute at most."""
+    """Flies until the formation has stood for a second, and fifteen more; a minute at most, or that long after it."""
     told: list[FloatArray] = []
     efforts: list[float] = []
     smallest_m, formed = np.inf, None
@@ -190,19 +194,25 @@ def race(formation: Formation, plant: Plant, rival: Rival) -> Race:
         if not stood:
             within = formation_error_m(ticked.pos_enu_m, formation.distances_m, rival.roles) <= _WITHIN_M
             formed = (tick if formed is None else formed) if within else None
-        elif formed is not None and (tick - formed) * TICK_S >= _STEADY_S + _HELD_S:
+        elif formed is not None and (tick - formed) * TICK_S >= _STEADY_S + _SETTLING_S + _REST_S:
             break
     stood = formed is not None and (len(told) - 1 - formed) * TICK_S >= _STEADY_S
     until = len(told) if formed is None or not stood else formed + round(_STEADY_S / TICK_S)
     change = np.diff(np.array(told[:until]), axis=0) / TICK_S
-    held = np.array(told[until:])
+    after = np.array(told[until:])
     return Race(
         formed_s=(formed + 1) * TICK_S if formed is not None and stood else None,
         smallest=smallest_m / _RADIUS_M,
         jerkiness_m_s2=float(np.sqrt((change**2).sum(axis=2).mean())),
         effort_m2_s3=float(np.sum(efforts[:until])),
-        held_m_s=float(np.sqrt((held**2).mean())) if stood and len(held) else None,
+        held_m_s=_rms(after[: round(_HELD_S / TICK_S)]) if stood else None,
+        rest_m_s=_rms(after[round(_SETTLING_S / TICK_S) :]) if stood else None,
     )
+
+
+def _rms(told_m_s: FloatArray) -> float | None:
+    """Root mean square of one axis; None where nothing was told."""
+    return float(np.sqrt((told_m_s**2).mean())) if len(told_m_s) else None
 
 
 def _figures(races: Sequence[Race]) -> Figures:
@@ -210,6 +220,7 @@ def _figures(races: Sequence[Race]) -> Figures:
     times = [np.inf if item.formed_s is None else item.formed_s for item in races]
     median_s = statistics.median_high(times)
     held = [item.held_m_s for item in races if item.held_m_s is not None]
+    rest = [item.rest_m_s for item in races if item.rest_m_s is not None]
     return {
         "races": len(races),
         "formed": sum(item.formed_s is not None for item in races),
@@ -219,11 +230,12 @@ def _figures(races: Sequence[Race]) -> Figures:
         "change_m_s2": round(statistics.median(item.jerkiness_m_s2 for item in races), 3),
         "effort_m2_s3": round(statistics.median(item.effort_m2_s3 for item in races), 3),
         "held_m_s": round(statistics.median(held), 4) if held else None,
+        "rest_m_s": round(statistics.median(rest), 4) if rest else None,
     }
 
 
 def _words(figures: Figures) -> Iterator[str]:
     yield f"{figures['formed']} of {figures['races']}"
-    for key in ("median_s", "smallest_over_r", "below_r", "change_m_s2", "effort_m2_s3", "held_m_s"):
+    for key in ("median_s", "smallest_over_r", "below_r", "change_m_s2", "effort_m2_s3", "held_m_s", "rest_m_s"):
         figure = figures[key]
         yield "-" if figure is None else f"{figure:.4g}"

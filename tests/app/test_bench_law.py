@@ -64,9 +64,11 @@ def test_vehicles_whose_response_is_known_form_quicker_and_as_far_apart() -> Non
     assert product["median_s"] is not None
     assert plain["median_s"] is not None
     assert product["median_s"] < 0.7 * plain["median_s"]
-    # While the formation stands; 0.04 m/s before places were smoothed.
+    # While the last errors die out (0.04 m/s before places were smoothed), and at rest.
     assert product["held_m_s"] is not None
+    assert product["rest_m_s"] is not None
     assert product["held_m_s"] < 0.03
+    assert product["rest_m_s"] < 0.02
 
 
 def test_the_same_race_comes_out_the_same(values: dict[str, dict[str, bench_law.Figures]]) -> None:
