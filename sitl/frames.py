@@ -16,6 +16,10 @@ Array = NDArray[np.float64]
 WGS84_A_M = 6378137.0
 WGS84_F = 1.0 / 298.257223563
 _E2 = WGS84_F * (2.0 - WGS84_F)
+# An operation on an array and a number takes half as long again as one on two arrays, and these arrays are small.
+_ONE, _TWO, _HALF, _TWO_PI = np.array(1.0), np.array(2.0), np.array(0.5), np.array(2.0 * math.pi)
+_PI, _HALF_PI = np.array(math.pi), np.array(math.pi / 2.0)
+_E2_ROOM, _E2_ARRAY, _A = np.array(1.0 - _E2), np.array(_E2), np.array(WGS84_A_M)
 
 
 def ned_from_enu(vec_enu: Array) -> Array:
@@ -34,6 +38,11 @@ def ned_from_enu(vec_enu: Array) -> Array:
     return out
 
 
+def between(values: Array, low: Array | float, high: Array | float) -> Array:
+    """``np.clip(values, low, high)`` at a third of its cost; what is not a number stays that."""
+    return np.asarray(np.minimum(np.maximum(values, low), high))
+
+
 def yaw_ned_from_enu(yaw_rad: Array | float) -> Array:
     """Turns a heading counted from east counter-clockwise into one from north clockwise; its own inverse.
 
@@ -43,12 +52,12 @@ def yaw_ned_from_enu(yaw_rad: Array | float) -> Array:
     Returns:
         Same shape, within (-pi, pi].
     """
-    return math.pi - np.mod(math.pi - (math.pi / 2.0 - np.asarray(yaw_rad, dtype=np.float64)), 2.0 * math.pi)
+    return _PI - np.mod(_PI - (_HALF_PI - np.asarray(yaw_rad, dtype=np.float64)), _TWO_PI)
 
 
 def wrap_pi(angle_rad: Array) -> Array:
     """Brings angles into (-pi, pi], shape kept."""
-    return math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
+    return _PI - np.mod(_PI - angle_rad, _TWO_PI)
 
 
 def euler_from_thrust(up_enu: Array, yaw_ned_rad: Array) -> tuple[Array, Array]:
@@ -65,7 +74,7 @@ def euler_from_thrust(up_enu: Array, yaw_ned_rad: Array) -> tuple[Array, Array]:
     # the body's z axis (down) in NED is minus the thrust: north -up[1], east -up[0], down up[2]; turned by -yaw
     forward = -up_enu[1] * c - up_enu[0] * s
     right = up_enu[1] * s - up_enu[0] * c
-    roll = -np.arcsin(np.minimum(np.maximum(right, -1.0), 1.0))
+    roll = -np.arcsin(np.minimum(np.maximum(right, -_ONE), _ONE))
     pitch = np.arctan2(forward, up_enu[2])
     return roll, pitch
 
@@ -76,14 +85,14 @@ def quat_from_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
     Returns:
         Shape (4, n), rows w x y z, w >= 0.
     """
-    half = np.empty((3, *np.shape(roll_rad)))
+    half = np.empty((3, *roll_rad.shape))
     half[0], half[1], half[2] = roll_rad, pitch_rad, yaw_rad
-    half *= 0.5
+    half *= _HALF
     cosine, sine = np.cos(half), np.sin(half)
     cy, sy = cosine[2], sine[2]
     cr_cp, sr_sp = cosine[0] * cosine[1], sine[0] * sine[1]
     sr_cp, cr_sp = sine[0] * cosine[1], cosine[0] * sine[1]
-    quat = np.empty((4, *np.shape(roll_rad)))
+    quat = np.empty((4, *roll_rad.shape))
     np.add(cr_cp * cy, sr_sp * sy, out=quat[0])
     np.subtract(sr_cp * cy, cr_sp * sy, out=quat[1])
     np.add(cr_sp * cy, sr_cp * sy, out=quat[2])
@@ -103,10 +112,12 @@ def frd_from_ned(quat_ned_from_frd: Array, vec_ned: Array) -> Array:
         Shape (3, n).
     """
     # v' = v - 2 w (q x v) + 2 q x (q x v), the rotation by the conjugate; crosses of rows one and two further on
-    twice, q = np.concatenate([vec_ned, vec_ned]), np.concatenate([quat_ned_from_frd[1:], quat_ned_from_frd[1:]])
-    turn = 2.0 * (q[1:4] * twice[2:5] - q[2:5] * twice[1:4])
+    axis = quat_ned_from_frd[1:]
+    twice, q = np.concatenate([vec_ned, vec_ned]), np.concatenate([axis, axis])
+    ahead, behind = q[1:4], q[2:5]
+    turn = _TWO * (ahead * twice[2:5] - behind * twice[1:4])
     turns = np.concatenate([turn, turn])
-    return np.asarray(vec_ned - quat_ned_from_frd[0] * turn + (q[1:4] * turns[2:5] - q[2:5] * turns[1:4]))
+    return np.asarray(vec_ned - quat_ned_from_frd[0] * turn + (ahead * turns[2:5] - behind * turns[1:4]))
 
 
 def is_place(lat_deg: float, lon_deg: float, alt_m: float) -> bool:
@@ -135,14 +146,14 @@ class Geodesy:
         """Latitude (deg), longitude (deg) and height (m) of points, shape (3, n) in, (n,) each out."""
         x, y, z = self._ecef_from_enu @ pos_enu_m + self._origin_ecef[:, None]
         p = np.sqrt(x * x + y * y)
-        lat = np.arctan2(z, p * (1.0 - _E2))
+        lat = np.arctan2(z, p * _E2_ROOM)
         for _ in range(3):  # near the surface every turn gains a factor of e2 = 0.0067 at least: 1e-14 rad at the end
             sin_lat = np.sin(lat)
-            n = WGS84_A_M / np.sqrt(1.0 - _E2 * sin_lat * sin_lat)
-            lat = np.arctan2(z + _E2 * n * sin_lat, p)
+            n = _A / np.sqrt(_ONE - _E2_ARRAY * sin_lat * sin_lat)
+            lat = np.arctan2(z + _E2_ARRAY * n * sin_lat, p)
         sin_lat, cos_lat = np.sin(lat), np.cos(lat)
-        n = WGS84_A_M / np.sqrt(1.0 - _E2 * sin_lat * sin_lat)
-        alt = p * cos_lat + (z + _E2 * n * sin_lat) * sin_lat - n
+        n = _A / np.sqrt(_ONE - _E2_ARRAY * sin_lat * sin_lat)
+        alt = p * cos_lat + (z + _E2_ARRAY * n * sin_lat) * sin_lat - n
         return np.degrees(lat), np.degrees(np.arctan2(y, x)), alt
 
     def enu_from_geodetic(self, lat_deg: float, lon_deg: float, alt_m: float) -> Array:

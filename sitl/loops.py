@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.frames import Array, wrap_pi
+from sitl.frames import Array, between, wrap_pi
 from sitl.motion import Commands, Health, Motion
 from sitl.own_frame import OwnFrames
 from sitl.profiles import Profile, column, columns, spread
@@ -223,7 +223,7 @@ class HeadingLoop:
             return
         error = wrap_pi(commands.yaw_sp_enu_rad - motion.yaw_enu_rad)
         rate = np.where(commands.yaw_mask, self._gain * error, commands.yaw_rate_sp_rad_s)
-        rate = np.clip(rate, -self._rate_max, self._rate_max)
+        rate = between(rate, -self._rate_max, self._rate_max)
         rate[motion.on_ground] = 0.0
         rate[health.tumbling] = 10.0
         motion.yaw_rate_rad_s += (rate - motion.yaw_rate_rad_s) * self._slew

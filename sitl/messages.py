@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.mavlink.codec import StructuredArray, layout
-from sitl.frames import frd_from_ned
+from sitl.frames import between, frd_from_ned
 from sitl.pilot import Pilot
 from sitl.state import State
 from sitl.telemetry import View
@@ -197,8 +197,8 @@ def _global_position_int(state: State, view: View, vehicles: IntArray) -> Struct
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = np.rint(alt * 1000.0)
     height = _number(state, view.pos_enu_m[2, vehicles]) - state.known.home_enu_m[2, vehicles]
-    out["relative_alt"] = np.rint(np.clip(height, -2e6, 2e6) * 1000.0)  # home may be set anywhere on the globe
-    vel = np.clip(_number(state, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767, 32767)
+    out["relative_alt"] = np.rint(between(height, -2e6, 2e6) * 1000.0)  # home may be set anywhere on the globe
+    vel = between(_number(state, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767.0, 32767.0)
     out["vx"], out["vy"], out["vz"] = np.rint(vel)
     out["hdg"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0 * 100.0) % 36000
     return out
@@ -257,7 +257,7 @@ def _vfr_hud(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out["climb"] = -vel[2]
     out["alt"] = view.geodetic[2][vehicles]
     out["heading"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0) % 360
-    out["throttle"] = np.clip(state.dynamics.motion.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0, 100)
+    out["throttle"] = between(state.dynamics.motion.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0.0, 100.0)
     return out
 
 
@@ -283,7 +283,7 @@ def _attitude_target(state: State, view: View, vehicles: IntArray) -> Structured
     out = rows_of("ATTITUDE_TARGET", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["thrust"] = np.clip(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    out["thrust"] = between(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
     return out
 
 
@@ -295,7 +295,7 @@ def _distance_sensor(state: State, _view: View, vehicles: IntArray) -> Structure
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["max_distance"], out["orientation"] = 10_000, 25  # cm; MAV_SENSOR_ROTATION_PITCH_270
     height_m = dynamics.motion.pos_enu_m[2, vehicles] - dynamics.ground.height_m[vehicles]
-    out["current_distance"] = np.rint(np.clip(height_m * 100.0, 0.0, 10_000.0))
+    out["current_distance"] = np.rint(between(height_m * 100.0, 0.0, 10_000.0))
     return out
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.mavlink.codec import StructuredArray
+from sitl.frames import between
 from sitl.messages import IntArray, Message, message, rows_of, times_ms, times_us
 from sitl.state import State
 from sitl.telemetry import View
@@ -20,8 +21,8 @@ _MILLI_G = 1000.0 / 9.80665
 def _raw_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("RAW_IMU", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    force = np.clip(view.specific_force_frd_m_s2[:, vehicles] * _MILLI_G, -32767, 32767)
-    rates = np.clip(view.rates_frd_rad_s[:, vehicles] * 1000.0, -32767, 32767)
+    force = between(view.specific_force_frd_m_s2[:, vehicles] * _MILLI_G, -32767, 32767)
+    rates = between(view.rates_frd_rad_s[:, vehicles] * 1000.0, -32767, 32767)
     out["xacc"], out["yacc"], out["zacc"] = np.rint(force)
     out["xgyro"], out["ygyro"], out["zgyro"] = np.rint(rates)
     yaw = view.euler_rad[2][vehicles]
@@ -73,7 +74,7 @@ def _nav_controller_output(state: State, view: View, vehicles: IntArray) -> Stru
 def _servo_output_raw(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SERVO_OUTPUT_RAW", vehicles)
     out["time_usec"] = times_us(state, vehicles) & 0xFFFFFFFF
-    share = np.clip(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    share = between(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
     for k in range(1, 5):
         out[f"servo{k}_raw"] = np.rint(1000.0 + 1000.0 * share)
     return out

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
+import sys
 
 from hypothesis import settings
 
 settings.register_profile("untimed", deadline=None)  # how long something takes depends on what else the machine does
 settings.load_profile("untimed")
+
+# Machines may be told to keep no compiled code, containers are: each worker, and each gs that a test starts, would then
+# compile every module again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 def pytest_configure() -> None:

@@ -214,12 +214,12 @@ def formation_control(
     along = task.gains_xy.real + pull
     across = task.gains_xy.imag
     vel = np.empty((views.viewers, 3))
-    np.sum(along * x - across * y, axis=1, out=vel[:, 0])
-    np.sum(across * x + along * y, axis=1, out=vel[:, 1])
+    np.add.reduce(along * x - across * y, axis=1, out=vel[:, 0])
+    np.add.reduce(across * x + along * y, axis=1, out=vel[:, 1])
     upward = (task.gains_z + pull) * z
     if upright_1_s > 0.0:
         upward = upward + np.where(used, upright_1_s * (z - task.rise_m), 0.0)
-    np.sum(upward, axis=1, out=vel[:, 2])
+    np.add.reduce(upward, axis=1, out=vel[:, 2])
     vel *= control_gain
     return vel
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from groundstation.core.formation import Formation
-from groundstation.core.quick import every, finite_rows, norms, pairs
+from groundstation.core.quick import every, finite_rows, mean, norms, pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
@@ -40,8 +40,7 @@ def near_pairs(pos_m: FloatArray, within_m: float) -> tuple[IntArray, IntArray]:
 
 def pair_distances_m(pos_m: FloatArray) -> FloatArray:
     """Distances between all pairs, shape (..., n, n) for positions (..., n, 3) in any one frame; NaN stays NaN."""
-    difference = pos_m[..., :, None, :] - pos_m[..., None, :, :]
-    return np.asarray(np.sqrt((difference * difference).sum(axis=-1)), dtype=np.float64)
+    return norms(pos_m[..., :, None, :] - pos_m[..., None, :, :])
 
 
 def formation_error_m(pos_m: FloatArray, distances_m: FloatArray, role_of_agent: IntArray) -> float:
@@ -55,8 +54,8 @@ def formation_error_m(pos_m: FloatArray, distances_m: FloatArray, role_of_agent:
     Returns:
         Metres; NaN when a position is unknown; 0 for a single agent.
     """
-    wanted = distances_m[np.ix_(role_of_agent, role_of_agent)]
-    return float(np.abs(pair_distances_m(pos_m) - wanted).max())
+    wanted = distances_m[role_of_agent[:, None], role_of_agent]
+    return float(np.maximum.reduce(np.abs(pair_distances_m(pos_m) - wanted), axis=None))
 
 
 def team_error_m(pos_m: FloatArray, formation: Formation, role_of_agent: IntArray) -> float:
@@ -211,6 +210,6 @@ def vertical_orientation(height_m: FloatArray, points_height_m: FloatArray, role
         Correlation in [-1, 1]: near 1 upright, near -1 upside down; 0 where either has no height to speak of.
     """
     wanted = points_height_m[role_of_agent]
-    a, b = height_m - height_m.mean(), wanted - wanted.mean()
+    a, b = height_m - mean(height_m), wanted - mean(wanted)
     size = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 1e-9 else 0.0

@@ -46,8 +46,10 @@ class Motion:
         """
         east, north = from_centre_enu_m[:, 0], from_centre_enu_m[:, 1]
         cos, sin = np.cos(self.ahead_rad), np.sin(self.ahead_rad)
-        level = self.turn_rad_s * np.stack([-(sin * east + cos * north), cos * east - sin * north], axis=1)
-        return np.concatenate([level, np.zeros((len(level), 1))], axis=1) + self.vel_enu_m_s
+        turned = np.zeros_like(from_centre_enu_m)
+        turned[:, 0] = self.turn_rad_s * -(sin * east + cos * north)
+        turned[:, 1] = self.turn_rad_s * (cos * east - sin * north)
+        return turned + self.vel_enu_m_s
 
     def relative(self, rel_enu_m: FloatArray) -> FloatArray:
         """How relative positions change by this motion alone, shape (..., 3), ENU, m/s."""

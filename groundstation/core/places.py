@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.quick import mean
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -77,7 +78,7 @@ def own_places(
         fits: BoolArray = np.asarray((spread > 1e-12) & (size > 1e-12), dtype=np.bool_)
         scale = np.where(fits, size / np.where(fits, spread, 1.0), 1.0)
     to_own = pos_mean + scale[:, None] * _turned(turn, own_point - points_mean)
-    from_centre = scale[:, None] * _turned(turn, own_point - points_by_agent_m.mean(axis=0))
+    from_centre = scale[:, None] * _turned(turn, own_point - mean(points_by_agent_m))
     wanted = scale[:, None, None] * _turned(turn[:, None], points_seen - own_point[:, None])
     alone = ~np.asarray(visible.any(axis=1), dtype=np.bool_)
     to_own[alone] = 0.0

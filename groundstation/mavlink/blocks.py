@@ -9,6 +9,7 @@ Streams, whose frames come in pieces, and links on which signatures are checked 
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -43,6 +44,7 @@ _OVERLAP_MAX = 4  # times that a byte is looked at by each frame that may lie th
 _SHORTEST = HEADER_V2 + CRC_BYTES  # a frame of MAVLink 2 without a payload
 _FEW_BYTES = 8_192  # as long as frames are quicker looked at one by one
 _FAR = np.iinfo(np.int64).max
+_HEADER = struct.Struct("<3B4xHB")  # magic, size, flags, and the message id in two parts
 
 
 class Datagrams(NamedTuple):
@@ -361,17 +363,18 @@ def _plain_begins(data: bytes, offsets: list[int]) -> list[int]:
     ``FrameSplitter`` finds the same ones there, since it takes what begins where the frame before has ended. Nothing
     comes back where there is anything else: that takes a closer look.
     """
-    extras, checksum = crc_extra_bytes(), crc16.mcrf4xx
+    extras, checksum, header = crc_extra_bytes(), crc16.mcrf4xx, _HEADER.unpack_from
     begins: list[int] = []
     position = 0
     for end in offsets[1:]:
         while position < end:
             stop = position + _SHORTEST
-            if stop > end or data[position] != MAGIC_V2 or data[position + 2]:
+            if stop > end:
                 return []
-            stop += data[position + 1]
-            extra = extras.get(data[position + 7] | data[position + 8] << 8 | data[position + 9] << 16)
-            if extra is None or stop > end:
+            magic, size, flags, low, high = header(data, position)
+            stop += size
+            extra = extras.get(low | high << 16)
+            if magic != MAGIC_V2 or flags or extra is None or stop > end:
                 return []
             told = data[stop - 2] | data[stop - 1] << 8
             if checksum(data[position + 1 : stop - CRC_BYTES] + extra) != told:
@@ -438,7 +441,7 @@ def _plain_block(data: bytes, size: int, start: IntArray, datagrams: Datagrams) 
         (head >> 40) & 0xFF,
         (head >> 48) & 0xFF,
         np.zeros(count, dtype=np.bool_),
-        np.searchsorted(datagrams.offsets, start, side="right") - 1,
+        datagrams.offsets.searchsorted(start, side="right") - 1,
         datagrams,
     )
 

@@ -34,6 +34,7 @@ _BACK_AGAIN = 3  # so many messages in a row with another time: its clock was se
 _FLIPS, _FLIPS_NS = 4, 5_000_000_000
 _NO_TIME_NS = 1 << 61  # 73 years: no clock of a vehicle, and its sums stay whole numbers of 64 bits
 _WRAP_MS = 1 << 32  # time_boot_ms counts on from 0 after 49.7 days
+_WRAP_NS = np.array(_WRAP_MS * 1e6)
 _AHEAD_MS = 10_000  # no clock runs further ahead of what has passed here, whatever was under way on a link
 
 
@@ -154,7 +155,7 @@ class Clocks:
             offset_ns = offset_ns + np.rint(self.rate[row] * (t_rx_ns - self.at_ns[row])).astype(np.int64)
         mapped = boot_ms * 1_000_000 + half_ms_ns - offset_ns
         # TIMESYNC counts on when time_boot_ms begins again.
-        turns = np.rint((t_rx_ns - mapped) / (_WRAP_MS * 1e6))
+        turns = np.rint((t_rx_ns - mapped) / _WRAP_NS)
         if np.count_nonzero(turns):
             mapped += turns.astype(np.int64) * (_WRAP_MS * 1_000_000)
         measured_ns = np.where(self.known[row] & (boot_ms > 0), np.minimum(mapped, t_rx_ns), t_rx_ns)

@@ -287,7 +287,7 @@ def blank(name: str, count: int) -> StructuredArray:
     return np.zeros(count, dtype=layout(name).dtype)
 
 
-_HEAD, _CHECKSUM = struct.Struct("<6B").pack, struct.Struct("<H").pack
+_HEAD, _CHECKSUM = struct.Struct("<6B3s").pack, struct.Struct("<H").pack
 
 
 def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]) -> list[bytes]:
@@ -311,20 +311,22 @@ def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]
         return encode_rows(name, values, encoders[0])
     joined, size, position = values.tobytes(), shape.size, 0
     msgid, extra = shape.msgid.to_bytes(3, "little"), bytes((shape.crc_extra,))
-    frames = []
+    head, checksum, two_bytes = _HEAD, crc16.mcrf4xx, _CHECKSUM
+    frames: list[bytes] = []
+    put = frames.append
     for encoder in encoders:
         payload = joined[position : position + size]
         position += size
         if encoder.version != MAVLINK_2:
-            frames.append(encoder.frame(shape, payload))
+            put(encoder.frame(shape, payload))
             continue
         # As ``Encoder.frame`` does it, without a call for each.
         if not payload[-1]:
             payload = payload.rstrip(b"\0") or b"\0"
         seq = encoder.seq
         encoder.seq = (seq + 1) & 0xFF
-        body = _HEAD(len(payload), 0, 0, seq, encoder.sysid, encoder.compid) + msgid + payload
-        frames.append(b"\xfd" + body + _CHECKSUM(crc16.mcrf4xx(body + extra)))
+        body = head(len(payload), 0, 0, seq, encoder.sysid, encoder.compid, msgid) + payload
+        put(b"\xfd" + body + two_bytes(checksum(body + extra)))
     return frames
 
 

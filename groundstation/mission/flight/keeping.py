@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.core.motion import Motion
-from groundstation.core.quick import between, length, norms, some
+from groundstation.core.quick import between, length, mean, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 
 SPEED_SHARE = 0.2
@@ -83,7 +83,7 @@ class PlaceKeeper:
         """
         if self.rate_1_s == 0.0 or self.place_enu_m is None or not some(counts):
             return None
-        middle = pos_enu_m[counts].mean(axis=0)
+        middle = mean(pos_enu_m[counts])
         if counts.tobytes() != self._counted.tobytes():
             # The middle of others: it is as far from its place as the one before was.
             self.place_enu_m = self.place_enu_m + middle - self._middle_enu_m
@@ -94,7 +94,7 @@ class PlaceKeeper:
         vel_m_s = vel_m_s * min(1.0, most_m_s / max(length(vel_m_s), 1e-12))
         turn_rad_s = 0.0
         if self.heading_rad is not None:
-            level = norms(points_m[:, :2] - points_m[:, :2].mean(axis=0))
+            level = norms(points_m[:, :2] - mean(points_m[:, :2]))
             off = np.angle(np.exp(1j * (self.heading_rad - heading_of(pos_enu_m[counts], points_m[counts]))))
             most_rad_s = 0.5 * most_m_s / max(float(level.max()), 1e-6)
             turn_rad_s = float(between(self.rate_1_s * off, -most_rad_s, most_rad_s))
@@ -103,7 +103,7 @@ class PlaceKeeper:
 
 def heading_of(pos_enu_m: FloatArray, points_m: FloatArray) -> float:
     """How a formation is turned about the vertical against its points, rad; 0 where that has no meaning."""
-    pos, points = pos_enu_m[:, :2] - pos_enu_m[:, :2].mean(axis=0), points_m[:, :2] - points_m[:, :2].mean(axis=0)
+    pos, points = pos_enu_m[:, :2] - mean(pos_enu_m[:, :2]), points_m[:, :2] - mean(points_m[:, :2])
     turn = complex(((points[:, 0] - 1j * points[:, 1]) * (pos[:, 0] + 1j * pos[:, 1])).sum())
     spread = float((points**2).sum())
     return float(np.angle(turn)) if abs(turn) > 1e-3 * spread and spread > 1e-9 else 0.0

@@ -103,7 +103,7 @@ class Spots:
         if home_too:
             self._look_home.asked(0, now_ns)
         looked_after = ~(scene.down | scene.sinks) & (scene.wanted | scene.coming)
-        lowest_first = np.argsort(-scene.pos_ned_m[:, 2], kind="stable")
+        lowest_first = (-scene.pos_ned_m[:, 2]).argsort(kind="stable")
         for vehicle in lowest_first[looked_after[lowest_first]].tolist():
             if scene.led[vehicle]:
                 if scene.wanted[vehicle] or home_too:
