@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from functools import lru_cache
 
 from groundstation.gateway.measured import Pose, Supervisor
 from groundstation.gateway.orders import (
@@ -36,6 +37,7 @@ _REPEAT_NS = SECOND_NS // 10  # a velocity that nobody renews, as long as it is 
 _DOWN_NS = SECOND_NS
 _YAW_GAIN_1_S, _YAW_RATE_MAX = 1.5, math.radians(60.0)
 _LEAST_DURATION_S = 1.0
+_supervisor = lru_cache(256)(Supervisor)  # asked for many times a tick
 
 
 class Mode(IntEnum):
@@ -85,7 +87,7 @@ class Pilot:
     @property
     def supervisor(self) -> Supervisor:
         """As it was told last."""
-        return Supervisor(0 if self._pose is None else self._pose.bits)
+        return _supervisor(0 if self._pose is None else self._pose.bits)
 
     @property
     def armed(self) -> bool:

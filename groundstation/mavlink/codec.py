@@ -11,7 +11,7 @@ clock.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -47,6 +47,7 @@ from groundstation.mavlink.splitting import (
 )
 
 MAVLINK_2 = 2
+_HEAD, _CHECKSUM = struct.Struct("<6B3s").pack, struct.Struct("<H").pack
 _FEW = 40  # messages; fewer are encoded one by one, which is quicker then
 
 __all__ = [
@@ -208,11 +209,14 @@ class Encoder:
             ValueError: a value does not fit its field.
         """
         shape = layout(name)
-        unknown = fields.keys() - set(shape.field_names)
-        if unknown:
-            raise KeyError(f"{name} has no field {', '.join(sorted(unknown))}")
+        if not fields.keys() <= shape.names:
+            raise KeyError(f"{name} has no field {', '.join(sorted(fields.keys() - shape.names))}")
         try:
-            payload = shape.byte_packer.pack(*_flatten(shape, fields))
+            if shape.flat:
+                given = map(fields.get, shape.field_names)
+                payload = shape.packer.pack(*[0 if value is None else value for value in given])
+            else:
+                payload = shape.byte_packer.pack(*_flatten(shape, fields))
         except (struct.error, OverflowError, TypeError) as error:
             raise ValueError(f"{name}: a value does not fit its field: {error}") from error
         return self.frame(shape, payload)
@@ -231,8 +235,7 @@ class Encoder:
             magic = b"\xfe"
         else:
             payload = payload.rstrip(b"\0") or b"\0"
-            msgid = shape.msgid.to_bytes(3, "little")
-            body = bytes((len(payload), 0, 0, seq, self.sysid, self.compid)) + msgid + payload
+            body = _HEAD(len(payload), 0, 0, seq, self.sysid, self.compid, shape.id_bytes) + payload
             magic = b"\xfd"
         checksum: int = crc16.mcrf4xx(body + bytes((shape.crc_extra,)))
         return magic + body + checksum.to_bytes(2, "little")
@@ -259,35 +262,32 @@ def _base_size(msgid: int) -> int:
     return struct.calcsize(message.packing)
 
 
-_OCTET = np.dtype(np.uint8)
-
-
-def _flatten(shape: Layout, fields: dict[str, Any]) -> Iterable[Any]:
-    for name, length in zip(shape.field_names, shape.array_lengths, strict=True):
+def _flatten(shape: Layout, fields: dict[str, Any]) -> list[Any]:
+    flat: list[Any] = []
+    for name, length, kind in shape.kinds:
         value = fields.get(name)
-        if shape.dtype[name].kind == "S":
+        if kind == "text":
             text = value.encode() if isinstance(value, str) else bytes(value or b"")
             if len(text) > length:
                 raise ValueError(f"{shape.name}.{name}: {len(text)} bytes, limit {length}")
-            yield text
+            flat.append(text)
         elif length:
             items = value if isinstance(value, bytes) else list(value if value is not None else ())
             if len(items) > length:
                 raise ValueError(f"{shape.name}.{name}: {len(items)} values, limit {length}")
-            if shape.dtype[name].base == _OCTET:
-                yield value if isinstance(value, bytes) else struct.pack(f"{len(items)}B", *items)  # zeros fill it up
+            if kind == "octets":  # zeros fill it up
+                flat.append(value if isinstance(value, bytes) else struct.pack(f"{len(items)}B", *items))
             else:
-                yield from [*items, *[0] * (length - len(items))]
+                flat += items
+                flat += (0,) * (length - len(items))
         else:
-            yield 0 if value is None else value
+            flat.append(0 if value is None else value)
+    return flat
 
 
 def blank(name: str, count: int) -> StructuredArray:
     """Returns ``count`` zeroed rows of a message type, to be filled column by column and given to ``encode_batch``."""
     return np.zeros(count, dtype=layout(name).dtype)
-
-
-_HEAD, _CHECKSUM = struct.Struct("<6B3s").pack, struct.Struct("<H").pack
 
 
 def encode_batch(name: str, values: StructuredArray, encoders: Sequence[Encoder]) -> list[bytes]:

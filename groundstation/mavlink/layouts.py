@@ -51,6 +51,29 @@ class Layout:
         """Payload size in bytes with nothing cut off."""
         return self.packer.size
 
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The same as ``field_names``, to be asked who is among them."""
+        return frozenset(self.field_names)
+
+    @cached_property
+    def flat(self) -> bool:
+        """Whether every field is one number."""
+        return not any(self.array_lengths) and all(self.dtype[name].kind != "S" for name in self.field_names)
+
+    @cached_property
+    def kinds(self) -> tuple[tuple[str, int, str], ...]:
+        """Name, array length and kind of each field: ``text``, ``octets`` or ``numbers``, in wire order."""
+        octet = np.dtype(np.uint8)
+        kinds = {name: "octets" if self.dtype[name].base == octet else "numbers" for name in self.field_names}
+        kinds |= {name: "text" for name in self.field_names if self.dtype[name].kind == "S"}
+        return tuple((name, n, kinds[name]) for name, n in zip(self.field_names, self.array_lengths, strict=True))
+
+    @cached_property
+    def id_bytes(self) -> bytes:
+        """The message id as MAVLink 2 has it on the wire."""
+        return self.msgid.to_bytes(3, "little")
+
     def place_of(self, field: str) -> int:
         """Bytes of the payload in front of a field.
 

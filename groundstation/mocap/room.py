@@ -10,11 +10,13 @@ Refuses to guess: where two could be meant, nobody is.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.quick import finite_rows, norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mocap.bodies import RoomConfig, RoomFrame
 from groundstation.mocap.ground import pads_words
@@ -242,7 +244,7 @@ class Room:
 
     def _sound(self, frame: RoomFrame, measured_ns: int) -> RoomFrame:
         """Leaves out what is no place, and bodies that have stood still to the last bit for too long."""
-        good: BoolArray = np.isfinite(frame.pos_ned_m).all(axis=1) & (np.abs(frame.pos_ned_m).max(axis=1) < 1e6)
+        good: BoolArray = finite_rows(frame.pos_ned_m) & (np.abs(frame.pos_ned_m).max(axis=1) < 1e6)
         zero: BoolArray = np.asarray(~frame.pos_ned_m.any(axis=1))
         if not good.all():
             self.counts["motion capture: bodies without a place"] += int((~good).sum())
@@ -251,7 +253,7 @@ class Room:
             vehicle = int(frame.row[k])
             if vehicle < 0 or not good[k]:
                 continue
-            if not np.array_equal(raw[k], self._raw[vehicle], equal_nan=True):
+            if not _same(raw[k], self._raw[vehicle]):
                 self._raw[vehicle], self._changed_ns[vehicle] = raw[k], measured_ns
                 self._why[vehicle] = ""
             elif zero[k] or measured_ns - int(self._changed_ns[vehicle]) > _FROZEN_NS:
@@ -279,10 +281,16 @@ class Room:
         dt_s = np.where(known, np.maximum(0, measured_ns - self.measured_ns), 0) / SECOND_NS
         expected = self.pos_ned_m + self.vel_ned_m_s * np.minimum(dt_s, 0.3)[:, None]
         reach_m = np.minimum(_SLACK_M + self.config.speed_m_s * dt_s, _REACH_MAX_M)
-        away = np.linalg.norm(frame.pos_ned_m[None] - expected[:, None], axis=-1)  # NaN where never seen
+        away = norms(frame.pos_ned_m[None] - expected[:, None])  # NaN where never seen
         inside: BoolArray = np.asarray(np.where(known[:, None], away, np.inf) <= reach_m[:, None])
         found: dict[int, int] = {}
-        for vehicle in range(len(self)):
+        first = {name: k for k, name in reversed(list(enumerate(frame.row.tolist())))}
+        reached, reaching = inside.tolist(), inside.sum(axis=0).tolist()
+        for vehicle, name in enumerate(self._name.tolist()):
+            k = None if self.config.by_place else first.get(name)
+            if k is not None and reached[vehicle][k] and reaching[k] == 1:  # mostly: its own, and nobody else's
+                found[vehicle] = k
+                continue
             near = inside[vehicle].nonzero()[0]
             own = (frame.row == self._name[vehicle]).nonzero()[0]
             if not self.config.by_place and len(own) and inside[vehicle, own[0]]:
@@ -349,3 +357,9 @@ class Room:
         self.vel_ned_m_s[row] = np.where(told[:, None], slower, kept)
         self.pos_ned_m[row] = pos_ned_m
         self.measured_ns[row] = measured_ns
+
+
+def _same(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two rows are the same, what is no number in both included."""
+    pairs = zip(one.tolist(), other.tolist(), strict=True)
+    return all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in pairs)

@@ -42,6 +42,10 @@ _SLICE_NS = 20_000_000
 _ASK_AGAIN_NS = 1_000_000_000
 _PROTOCOL = 12
 _NAMES = list(VARIABLES)
+_LOGGED = [
+    (names, struct.Struct("<" + "".join(SHAPES[VARIABLES[name][0]] for name in names)))
+    for names in (STATUS_VARIABLES, POSE_VARIABLES)
+]
 
 
 def own_params(settings: Mapping[str, float], params: ParamSet) -> tuple[tuple[str, float], ...]:
@@ -106,10 +110,9 @@ class _Client:
         """Takes a packet of the vehicle."""
         port, channel, rest = data[0] >> 4, data[0] & 3, data[1:]
         if port == LOG and channel == 2 and len(rest) >= 4:
-            names = POSE_VARIABLES if rest[0] == _POSE_BLOCK else STATUS_VARIABLES
-            shape = "<" + "".join(SHAPES[VARIABLES[name][0]] for name in names)
-            if len(rest) - 4 == struct.calcsize(shape):
-                values = dict(zip(names, struct.unpack_from(shape, rest, 4), strict=True))
+            names, shape = _LOGGED[rest[0] == _POSE_BLOCK]
+            if len(rest) - 4 == shape.size:
+                values = dict(zip(names, shape.unpack_from(rest, 4), strict=True))
                 self._heard_ns = now_ns
                 self.bridge.logged(values, int.from_bytes(rest[1:4], "little"), now_ns)
         elif port == PARAM and channel in (1, 2) and len(rest) > 2:

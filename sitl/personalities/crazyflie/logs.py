@@ -30,9 +30,10 @@ _NAMES = list(VARIABLES)
 
 @dataclass
 class _Block:
-    """What is sent together: (type, name) each; with ``period_ns`` 0 it stands still."""
+    """What is sent together: (type, name) each, and their shape; with ``period_ns`` 0 it stands still."""
 
     variables: list[tuple[int, str]] = field(default_factory=list)
+    shape: str = "<"
     period_ns: int = 0
     next_ns: int = 0
 
@@ -100,6 +101,7 @@ class LogPort:
         if others + len(wanted) > _VARIABLES_MAX:
             return _NO_MEMORY
         block.variables = wanted
+        block.shape = "<" + "".join(SHAPES[kind] for kind, _ in wanted)
         return 0
 
     def due(self, now_ns: int, own_time_ns: int) -> Iterator[bytes]:
@@ -109,11 +111,13 @@ class LogPort:
                 continue
             block.next_ns = max(block.next_ns + block.period_ns, now_ns)
             stamp = struct.pack("<I", own_time_ns // 1_000_000 & 0xFFFFFF)[:3]
-            yield bytes((number,)) + stamp + b"".join(self._value(kind, name) for kind, name in block.variables)
+            values = [_fitting(kind, VARIABLES[name][1](self._vehicle)) for kind, name in block.variables]
+            yield bytes((number,)) + stamp + struct.pack(block.shape, *values)
 
-    def _value(self, kind: int, name: str) -> bytes:
-        value = VARIABLES[name][1](self._vehicle)
-        if kind in _LIMITS:
-            low, end = _LIMITS[kind]
-            return struct.pack("<" + SHAPES[kind], min(max(int(value), low), end - 1))
-        return struct.pack("<" + SHAPES[kind], value)
+
+def _fitting(kind: int, value: float) -> float:
+    """The value as its type can hold it."""
+    if kind not in _LIMITS:
+        return value
+    low, end = _LIMITS[kind]
+    return min(max(int(value), low), end - 1)
