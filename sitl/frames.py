@@ -52,12 +52,13 @@ def yaw_ned_from_enu(yaw_rad: Array | float) -> Array:
     Returns:
         Same shape, within (-pi, pi].
     """
-    return _PI - np.mod(_PI - (_HALF_PI - np.asarray(yaw_rad, dtype=np.float64)), _TWO_PI)
+    return wrap_pi(_HALF_PI - np.asarray(yaw_rad, dtype=np.float64))
 
 
 def wrap_pi(angle_rad: Array) -> Array:
     """Brings angles into (-pi, pi], shape kept."""
-    return _PI - np.mod(_PI - angle_rad, _TWO_PI)
+    wrapped: Array = _PI - np.mod(_PI - angle_rad, _TWO_PI)
+    return wrapped
 
 
 def euler_from_thrust(up_enu: Array, yaw_ned_rad: Array) -> tuple[Array, Array]:

@@ -226,14 +226,14 @@ def test_slowest_mode_points_at_the_weak_agent() -> None:
 
 
 def test_suggested_graphs_keep_range_and_degree_and_grow_with_the_wish() -> None:
-    points = Formation("cloud", np.random.default_rng(4).uniform(size=(10, 3)) * 3, ())
+    points = Formation("cloud", np.random.default_rng(4).uniform(size=(8, 3)) * 3, ())
     found = {
-        kind: suggest(points, kind, evaluator(gap=0.05), range_m=2.8, max_degree=7)
+        kind: suggest(points, kind, evaluator(gap=0.05), range_m=2.8, max_degree=5)
         for kind in ("sparse", "balanced", "robust")
     }
     for suggestion in found.values():
         shape = suggestion.formation
-        assert shape.adjacency.sum(axis=1).max() <= 7
+        assert shape.adjacency.sum(axis=1).max() <= 5
         assert max(shape.distances_m[i, j] for i, j in shape.edges) <= 2.8
         result = design(shape)
         assert result.feasible, result.reason
