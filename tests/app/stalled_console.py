@@ -45,7 +45,7 @@ def main() -> None:
             _say(f"{len(Client.instances)} {_kept()}")
 
     app.on_startup(answer)
-    app.on_startup(lambda: _say(f"http://127.0.0.1:{place.port}/?token={keys.viewer}"))
+    app.on_startup(lambda: _say(f"http://127.0.0.1:{place.port}/flat?token={keys.viewer}"))
     serve_flight(place, keys, folder / f"{pid}.sock", pid, None)
 
 

@@ -19,7 +19,16 @@ from groundstation.app.console.feed import Feed, ghost_enu_m, largest_error_m, r
 from groundstation.app.console.guard import Guard, Keys, Message, Receive, Role, Scope, Send
 from groundstation.app.console.helm import HelmSeat
 from groundstation.app.console.link_loss import LinkLoss
-from groundstation.app.console.snapshot import AIRBORNE, BYTES_MAX, FIGURES, NOTES_MAX, Snapshot, decode, encode
+from groundstation.app.console.snapshot import (
+    AIRBORNE,
+    BYTES_MAX,
+    FIGURES,
+    FOREIGN,
+    NOTES_MAX,
+    Snapshot,
+    decode,
+    encode,
+)
 from groundstation.app.console.viewers import Viewers
 from groundstation.app.flying import fly_dry
 from groundstation.app.order_socket import prepare_folder
@@ -60,6 +69,7 @@ def flown() -> tuple[Flight, list[tuple[Snapshot, np.ndarray[tuple[int, ...], np
 
 
 def test_what_is_shown_is_where_they_are_and_what_the_answer_says(
+    tmp_path: Path,
     flown: tuple[Flight, list[tuple[Snapshot, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]]],
 ) -> None:
     flight, seen = flown
@@ -68,12 +78,22 @@ def test_what_is_shown_is_where_they_are_and_what_the_answer_says(
     for snapshot, truth in in_the_air:
         np.testing.assert_allclose(snapshot.pos_team_enu_m, truth, atol=0.8)  # GPS
         assert smallest_distance_m(snapshot) == pytest.approx(np.linalg.norm(truth[0] - truth[1]), abs=0.8)
+    feed = Feed(tmp_path, 1)
+    for snapshot, _ in seen:
+        feed.take(snapshot)
+    feed.close()
+    told = {row[0]: row[1] for row in feed.pairs}
+    for snapshot, _ in in_the_air:
+        assert told[snapshot.t_s] == pytest.approx(smallest_distance_m(snapshot))  # of two it is the one distance
+    assert np.isnan(feed.pairs[0][1])  # as they were put
     last = seen[-1][0]
     assert (last.words.outcome, last.words.phase) == ("completed", "done")
     for name in ("min_distance_m", "formation_error_m", "time_to_form_s", "ticks"):
         assert last.figure(name) == getattr(flight.runner.figures, name)
     assert last.figure("setpoints") == flight.runner.setpoints_sent
     assert {"takeoff", "form", "hold", "return", "land"} <= {snapshot.words.phase for snapshot, _ in seen}
+    for snapshot, _ in seen:  # who lands as it was told to does so by a mode of its own, and is no alarm
+        assert snapshot.words.phase != "land" or not (snapshot.state & FOREIGN).any()
     holding = [snapshot for snapshot, _ in seen if snapshot.words.phase == "hold"]
     assert largest_error_m(holding[-1]) < 0.6
     ghost_m = ghost_enu_m(holding[-1])

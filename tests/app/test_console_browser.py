@@ -22,7 +22,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from groundstation.mission.plan.reading import load_mission
-from tests.app.browser import Tab, chromium, opened
+from tests.app.browser import SOFTWARE_GL, Tab, chromium, opened
 
 GS = (sys.executable, "-m", "groundstation")
 FLIGHT = "fly --mission cube8 --dry-run --realtime --console --wait --seed 1 --json --set steps.1.hold.seconds=120"
@@ -85,6 +85,12 @@ def test_a_flight_is_watched_and_steered_through_consoles_that_come_and_go(folde
                 ".*".join(f"phase +{name}" for name in ("connect", "arm", "takeoff", "form", "hold")), re.S
             )
             expect(steer.page.get_by_test_id("notes")).to_have_text(phases)
+            expect(steer.page.get_by_test_id("shortcuts")).to_contain_text("h hold")
+            steer.page.keyboard.press("m")
+            expect(steer.page.get_by_role("switch", name="sound")).not_to_be_checked()
+            steer.page.get_by_role("button", name="KILL: hold 1.5 s").focus()
+            steer.page.keyboard.press("Space")
+            steer.shows("answer", "kill: hold the button for 1.5 s")
             steer.press("hold (h)")
             steer.shows("phase", "pause")
             steer.shows("answer", "hold: taken")
@@ -98,6 +104,7 @@ def test_a_flight_is_watched_and_steered_through_consoles_that_come_and_go(folde
             look.shows("answer", "resume: this page may only look: it was opened with the viewer's key")
             for button in ("resume (r)", "back to pads (b)", "land all (l)", "KILL: hold 1.5 s"):
                 expect(look.page.get_by_role("button", name=button)).to_be_disabled()
+            expect(look.page.get_by_test_id("why-not")).to_contain_text("return, land, kill: this page may only look")
             nobody_else_gets_in(browser, at["operator"], at["viewer"])
             steer.press("take the helm")
             expect(look.page.get_by_test_id("helm")).to_contain_text("steers")
@@ -137,8 +144,10 @@ def starts(steer: Tab) -> None:
 
 
 def test_a_mission_is_edited_flown_as_a_dry_run_and_saved(folder: Path) -> None:
-    with chromium() as browser, started("console --port 0 --edit first_flight2", folder) as console:
-        desk = opened(browser, addresses(console)["missions"])
+    with chromium(*SOFTWARE_GL) as browser, started("console --port 0 --edit first_flight2", folder) as console:
+        at = addresses(console)["missions"]
+        points_come_and_go(opened(browser, at.replace("/flat?", "/?")))
+        desk = opened(browser, at)
         field = desk.page.get_by_test_id
         field("speed_limit_m_s").fill("fast")
         desk.shows("faults", "speed_limit_m_s: expected a number, got 'fast'")
@@ -162,6 +171,19 @@ def test_a_mission_is_edited_flown_as_a_dry_run_and_saved(folder: Path) -> None:
     assert (plan.spec.speed_limit_m_s, plan.formation.size) == (0.6, 2)
     rise_m = np.diff(plan.formation.points_enu_m[:, 2])
     assert abs(float(rise_m[0])) > 0.1  # as typed, at the mission's size
+
+
+def points_come_and_go(solid: Tab) -> None:
+    """With the mouse, in the scene in three dimensions."""
+    solid.shows("gains", "gains fit this shape")
+    solid.page.locator("canvas").dblclick(position={"x": 40, "y": 250})  # the ground, in front of both
+    solid.shows("size", "3 points, 2 vehicles: add 1 in the whole file as YAML")
+    solid.shows("gains", "the shape has no gains yet")
+    solid.press("remove point")
+    solid.shows("size", "2 points, 2 vehicles")
+    solid.shows("gains", "gains fit this shape")  # it is what it was
+    assert solid.wrong == []
+    solid.page.close()
 
 
 def nobody_else_gets_in(browser: Browser, operator: str, viewer: str) -> None:

@@ -76,8 +76,12 @@ def test_what_is_wrong_is_told_by_the_key_of_its_field(draft: Draft) -> None:
 
 def test_gains_belong_to_a_shape_and_are_designed_anew(draft: Draft, tmp_path: Path) -> None:
     assert draft.has_gains
+    there = draft.points[4]
     draft.move(4, [0.0, 0.0, 1.4])
     assert not draft.has_gains
+    draft.move(4, there)
+    assert draft.has_gains
+    draft.move(4, [0.0, 0.0, 1.4])
     assert "no gains exist" in draft.judged()
     for other in (2, 3, 4):
         draft.toggle(1, 4 + other)

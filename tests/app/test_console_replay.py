@@ -66,6 +66,9 @@ def test_figures_phases_and_roles_are_those_of_the_log(flight: Flight, recorded:
     assert snapshot.figure("min_distance_m") == pytest.approx(least_m)
     assert recorded.at(nearest[0] - 1.0).figure("min_distance_m") > least_m
     assert np.nanmin(recorded.history[:, 1]) == least_m  # thinned, and yet there
+    middle = len(recorded.pairs) // 2
+    at_ns = np.array([round(float(recorded.pairs[middle, 0]) * 1e9) + flight.start_ns])
+    np.testing.assert_allclose(recorded.pairs[middle, 1:], flight.distances_at(at_ns)[0], atol=1e-6)
     for name, begin_s, end_s in recorded.phases():
         if end_s > begin_s:
             assert recorded.at((begin_s + end_s) / 2).words.phase == name

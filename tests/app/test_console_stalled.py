@@ -23,7 +23,7 @@ from groundstation.app.session import Session
 from groundstation.core.phases import Phase
 from groundstation.mission.plan.reading import load_mission
 from sitl.world import World
-from tests.app.browser import SOFTWARE_GL, chromium, opened
+from tests.app.browser import chromium, opened
 from tests.app.test_order_socket import Desk
 
 _ROOT = Path(__file__).parents[2]
@@ -70,7 +70,7 @@ def test_a_browser_that_stalls_costs_the_flight_not_a_byte_and_the_console_no_me
     alone = fly_dry(out, plan, folder / "alone.tlog", (), seed=3, realtime=False)
     command = [sys.executable, "-m", "tests.app.stalled_console", str(folder / "gs"), str(os.getpid())]
     with (
-        chromium(*SOFTWARE_GL) as browser,
+        chromium() as browser,
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=_ROOT) as console,
         ExitStack() as after,
     ):

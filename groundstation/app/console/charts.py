@@ -16,7 +16,9 @@ PURPLE = "#CC79A7"
 Options = dict[str, object]
 
 
-def chart_options(title: str, rows: FloatArray, colour: str, limit: float = np.nan) -> Options:
+def chart_options(
+    title: str, rows: FloatArray, colour: str, limit: float = np.nan, beside: FloatArray | None = None
+) -> Options:
     """A line over time.
 
     Args:
@@ -24,28 +26,43 @@ def chart_options(title: str, rows: FloatArray, colour: str, limit: float = np.n
         rows: seconds and value, shape (k, 2); rows with NaN are left out.
         colour: of the line.
         limit: drawn across; NaN for none.
+        beside: thin grey lines behind it: seconds, then a value of each, shape (k, 1 + lines); None for none.
     """
+    thin = [] if beside is None else [_thin(beside[:, [0, column]]) for column in range(1, beside.shape[1])]
     known = rows[np.isfinite(rows).all(axis=1)]
     label = {"formatter": "r", "position": "insideEndTop", "color": VERMILION}
     across = [{"yAxis": limit, "label": label}] if np.isfinite(limit) else []
     return {
-        "title": {"text": title, "textStyle": {"fontSize": 12, "color": GREY}},
-        "grid": {"top": 30, "bottom": 25, "left": 45, "right": 15},
+        "title": {"text": title if len(known) else f"{title}: not known here", "top": 2, "textStyle": _TITLE},
+        "grid": {"top": 32, "bottom": 25, "left": 45, "right": 25},
         "xAxis": {"type": "value", "scale": True, "name": "s", **_AXIS},
         "yAxis": {"type": "value", "min": 0, **_AXIS},
         "animation": False,
         "series": [
+            *thin,
             {
                 "type": "line",
                 "showSymbol": False,
                 "lineStyle": {"color": colour},
                 "data": np.column_stack([known[:, 0].round(2), known[:, 1].round(4)]).tolist(),
                 "markLine": {"symbol": "none", "silent": True, "lineStyle": {"color": VERMILION}, "data": across},
-            }
+            },
         ],
     }
 
 
+def _thin(rows: FloatArray) -> Options:
+    known = rows[np.isfinite(rows).all(axis=1)]
+    return {
+        "type": "line",
+        "showSymbol": False,
+        "silent": True,
+        "lineStyle": {"color": GREY, "width": 0.7, "opacity": 0.6},
+        "data": np.column_stack([known[:, 0].round(2), known[:, 1].round(3)]).tolist(),
+    }
+
+
+_TITLE: Options = {"fontSize": 12, "color": GREY}
 _AXIS: Options = {
     "axisLabel": {"color": GREY},
     "nameTextStyle": {"color": GREY},

@@ -1,11 +1,12 @@
 """A mission that is being edited, with its formation and gains: opened, changed, judged, saved. Shows nothing.
 
-Gains belong to a shape: whoever moves a point or an edge loses them, and they are designed anew, when that is asked for
-or on the spot when the mission is loaded.
+Gains belong to a shape: for another one they are designed anew, when that is asked for or on the spot when the mission
+is loaded.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from pathlib import Path
@@ -66,6 +67,7 @@ class Draft:
                     self._gains = (self._folder / gains).read_bytes()
                 except OSError as error:
                     raise UserError(f"{path}: gains: {gains}: {error.strerror or error}; correct the path") from None
+        self._gains_shape = self._shape_now()
 
     def _steps_beside(self) -> None:
         """Steps name files beside the mission file: these go along wherever the draft is written."""
@@ -80,8 +82,11 @@ class Draft:
 
     @property
     def has_gains(self) -> bool:
-        """Whether there are gains for this very shape."""
-        return self._gains is not None
+        """Whether there are gains for this very shape: who puts a point back where it was has them again."""
+        return self._gains is not None and self._gains_shape == self._shape_now()
+
+    def _shape_now(self) -> str:
+        return json.dumps([self.points, self.edges])
 
     @property
     def vehicles(self) -> int:
@@ -107,12 +112,11 @@ class Draft:
     def move(self, row: int, point: list[float]) -> None:
         """Puts a point, counted from 0, somewhere else."""
         if self.points[row] != point:
-            self.points[row], self._gains = point, None
+            self.points[row] = point
 
     def add(self, point: list[float]) -> None:
         """Adds a point as the last one; nobody is joined to it yet."""
         self.points.append(point)
-        self._gains = None
 
     def remove(self, row: int) -> None:
         """Takes a point, counted from 0, out with its edges; those behind it move up.
@@ -126,7 +130,6 @@ class Draft:
         agent = row + 1
         kept = [edge for edge in self.edges if agent not in edge]
         self.edges = [(i - (i > agent), j - (j > agent)) for i, j in kept]
-        self._gains = None
 
     def toggle(self, one: int, other: int) -> None:
         """Joins two agents, counted from 1, or parts them.
@@ -142,13 +145,10 @@ class Draft:
             self.edges.remove(edge)
         else:
             self.edges = sorted([*self.edges, edge])
-        self._gains = None
 
     def propose(self, formation: Formation) -> None:
         """Takes the edges of another formation."""
-        edges = [(i + 1, j + 1) for i, j in formation.edges]
-        if edges != self.edges:
-            self.edges, self._gains = edges, None
+        self.edges = [(i + 1, j + 1) for i, j in formation.edges]
 
     def formation(self) -> Formation:
         """The shape as it is now.
@@ -167,7 +167,7 @@ class Draft:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / _GAINS
             save_gains(file, result.formation, result.gains, result.certificate, result.method)
-            self._gains = file.read_bytes()
+            self._gains, self._gains_shape = file.read_bytes(), self._shape_now()
 
     def _formation_values(self) -> Values:
         return {**self._shape, "points": self.points, "edges": [list(edge) for edge in self.edges]}
@@ -238,7 +238,7 @@ class Draft:
         files = {f"{name}.yaml": head.encode() + dumped(self._written())}
         if self.points:
             files[f"{name}.{_FORMATION}"] = dumped(self._formation_values())
-            if self._gains is not None:
+            if self._gains is not None and self.has_gains:
                 files[f"{name}.{_GAINS}"] = self._gains
         return files
 
@@ -247,7 +247,7 @@ class Draft:
         values = {key: value for key, value in self.values.items() if key not in _KEPT_PLACES}
         if self.points:
             values["formation"] = f"{self.name}.{_FORMATION}"
-            if self._gains is not None:
+            if self.has_gains:
                 values["gains"] = f"{self.name}.{_GAINS}"
         return values
 

@@ -20,6 +20,9 @@ from groundstation.mission.flight.keeping import heading_of
 
 HISTORY = "t_s", "min_distance_m", "error_m", "tick_ms", "most_lost_percent"
 _KEPT = 2_400
+PAIRS_TEAM_MAX = 8
+"""Teams up to which every pair's distance is a line of the chart; of larger ones it would be a blot."""
+_PAIRS_EVERY_S, _PAIRS_KEPT = 0.4, 600
 _NOTES_KEPT = 10_000
 _TAKEN_MAX = 32  # of those that wait, at once
 
@@ -27,6 +30,13 @@ _TAKEN_MAX = 32  # of those that wait, at once
 def distances_m(snapshot: Snapshot) -> FloatArray:
     """Distances between all vehicles, shape (n, n), NaN where unknown."""
     return pair_distances_m(snapshot.pos_team_enu_m)
+
+
+def pairs_m(snapshot: Snapshot) -> FloatArray:
+    """Distances of all pairs of whom one at least is in the air, NaN of the others, shape (n (n - 1) / 2,)."""
+    first, second = np.triu_indices(len(snapshot.ids), 1)
+    flies = (snapshot.state & AIRBORNE) != 0
+    return np.where(flies[first] | flies[second], distances_m(snapshot)[first, second], np.nan)
 
 
 def smallest_distance_m(snapshot: Snapshot) -> float:
@@ -75,6 +85,7 @@ class Feed:
     Attributes:
         last: newest snapshot, None before the first.
         history: a row of ``HISTORY`` a tenth of a second.
+        pairs: seconds, then every pair's distance, four tenths of a second apart; empty for large teams.
         notes: what happened: seconds, kind, text; each once, though every snapshot tells the newest again.
         checks: preflight's table as it was last told.
         problem: why the newest datagram could not be read.
@@ -83,6 +94,7 @@ class Feed:
     def __init__(self, folder: Path, pid: int) -> None:
         self.last: Snapshot | None = None
         self.history: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
+        self.pairs: deque[tuple[float, ...]] = deque(maxlen=_PAIRS_KEPT)
         self.notes: list[tuple[float, str, str]] = []
         self.checks: tuple[tuple[str, ...], ...] = ()
         self.problem = ""
@@ -134,6 +146,10 @@ class Feed:
                     most_lost_percent(snapshot),
                 )
             )
+
+        few = len(snapshot.ids) <= PAIRS_TEAM_MAX
+        if few and (not self.pairs or snapshot.t_s - self.pairs[-1][0] >= _PAIRS_EVERY_S):
+            self.pairs.append((snapshot.t_s, *pairs_m(snapshot).tolist()))
 
     def _keep(self, told: tuple[tuple[float, str, str], ...]) -> None:
         known = self.notes[-1:]

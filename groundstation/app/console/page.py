@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nicegui import run, ui
-from nicegui.events import KeyEventArguments
+from nicegui.events import GenericEventArguments, KeyEventArguments
 
 from groundstation.app.console.charts import spans_of
 from groundstation.app.console.feed import Feed
@@ -23,8 +23,10 @@ from groundstation.mission.operator import Order
 KILL_HELD_S = 1.5
 
 _SLOWLY_EVERY = 5
-_SHOWN = 400
-_KEYS = {"s": Order.START, "h": Order.HOLD, "r": Order.RESUME, "b": Order.RETURN}
+_SHOWN, _PAIRS_SHOWN = 400, 100
+_KEYS = {"s": "start", "h": "hold", "r": "resume", "b": "return", "l": "land all"}
+_LOOKS = {"1": "side", "2": "top", "3": "follow"}
+_SHORTCUTS = "keys: s start, h hold, r resume, b back to pads, l land all; 1 side, 2 top, 3 follow; m sound on or off"
 _BUTTONS = (
     ("hold (h)", "hold", Order.HOLD),
     ("resume (r)", "resume", Order.RESUME),
@@ -67,7 +69,7 @@ class Page:
             self._outcome = ui.label().classes("text-lg").props(named("outcome"))
             self._age = ui.label().props(named("age"))
             ui.space()
-            self._who = ui.label().props(named("helm"))
+            self._who = ui.label().classes("text-sm").props(named("helm"))
             ui.button("take the helm", on_click=self._take).props("dense outline color=white")
             self._mute = ui.switch("sound", value=True).props("dense color=orange")
             theme = Theme(lambda dark: self._view.themed(dark=dark))
@@ -90,8 +92,12 @@ class Page:
             self._button("land selected", Order.LAND, self._land_selected)
             kill = self._button(f"KILL: hold {KILL_HELD_S:g} s", Order.KILL, None)
             kill.props("color=red-9").on("pointerdown", self._press).on("pointerup", self._release)
-            kill.on("pointerleave", self._forget)
+            kill.on("pointerleave", self._forget).on("blur", self._forget)
+            for held in ("space", "enter"):  # without a mouse: held as long
+                kill.on(f"keydown.{held}", self._press_key, ["repeat"]).on(f"keyup.{held}", self._release)
         ui.label("Kill stops motors at once, vehicles fall: those selected in the table, or all.").classes("text-xs")
+        ui.label(_SHORTCUTS).classes("text-xs").props(named("shortcuts"))
+        self._why = ui.label().classes("text-xs whitespace-pre-line").props(named("why-not"))
         self._answer = ui.label("no order yet").classes("text-sm font-bold").props(named("answer") + " role=status")
 
     def _button(self, text: str, order: Order, act: Callable[..., object] | None) -> ui.button:
@@ -114,9 +120,11 @@ class Page:
         key, held = str(event.key).lower(), event.modifiers
         if event.action.keydown and not (event.action.repeat or held.ctrl or held.alt or held.meta):
             if key in _KEYS:
-                await self._give(_KEYS[key].value)
-            elif key == "l":
-                await self._give("land all")
+                await self._give(_KEYS[key])
+            elif key in _LOOKS:
+                self._view.look(_LOOKS[key])
+            elif key == "m":
+                self._mute.set_value(not self._mute.value)
 
     def _selected(self) -> str:
         return " ".join(str(row["id"]) for row in self._view.table.selected)
@@ -129,6 +137,10 @@ class Page:
 
     def _press(self) -> None:
         self._pressed_s = time.monotonic()
+
+    def _press_key(self, event: GenericEventArguments) -> None:
+        if not event.args["repeat"]:  # a key that is held tells so again and again
+            self._press()
 
     def _forget(self) -> None:
         self._pressed_s = None
@@ -155,7 +167,8 @@ class Page:
     def _update(self) -> None:
         desk = self._desk
         snapshot = desk.feed.last
-        self._who.set_text(f"{self._role.value}; {desk.helm.news or 'nobody steers from a console'}")
+        news = desk.helm.news.replace("console ", "")  # which all of them are
+        self._who.set_text(f"you: {self._role.value}; {news or 'nobody steers from a console'}")
         if snapshot is None:
             self._age.set_text(desk.feed.problem)
             return
@@ -170,12 +183,18 @@ class Page:
         self._outcome.set_text(words.outcome)
         self._preflight.show(feed.checks, words.problems, there=words.phase == "connect")
         self._age.set_text(f"{snapshot.t_s:.1f} s{', ' + feed.problem if feed.problem else ''}")
+        reasons: dict[str, list[str]] = {}
         for button, tip, order in self._buttons:
             why = desk.helm.refusal(self._page, self._role, order, words.refused)
             button.set_enabled(not why)
             tip.set_text(why or order.value)
+            seen = words.phase == "connect" or order not in (Order.START, Order.FIX)
+            if why and seen and order.value not in reasons.setdefault(why, []):
+                reasons[why].append(order.value)
+        # A tablet has no mouse that could rest on a button.
+        self._why.set_text("\n".join(f"not now, {', '.join(orders)}: {why}" for why, orders in reasons.items()))
         self._view.tell(snapshot)
-        self._view.draw(list(feed.history)[-_SHOWN:], words.radius_m)
+        self._view.draw(list(feed.history)[-_SHOWN:], words.radius_m, list(feed.pairs)[-_PAIRS_SHOWN:])
         self._view.time_goes(spans_of(feed.notes, snapshot.t_s), feed.notes, snapshot.t_s)
         if self._view.happened(feed.notes) and self._mute.value:
             ui.run_javascript(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.app.console.feed import PAIRS_TEAM_MAX
 from groundstation.app.console.snapshot import AIRBORNE, FIGURES, Snapshot, Words
 from groundstation.core import frames
 from groundstation.core.types import FloatArray, IntArray
@@ -19,7 +20,7 @@ from groundstation.mission.timing import SECOND_NS
 from groundstation.records.replay import MAX_GAP_NS, Flight, Phase
 from groundstation.records.tracks import VehicleTrack
 
-_ROWS = 800
+_ROWS, _PAIR_ROWS = 800, 300
 _MARGIN_M = 0.5
 _KINDS = ("phase", "alarm", "info", "roles")
 
@@ -40,6 +41,7 @@ class Recorded:
         marks: events, orders and the nearest approach, in order of time.
         history: seconds, smallest distance, largest error of the formation: the nearest moment of each short span, so
             that no approach is thinned away.
+        pairs: seconds, then every pair's distance; no rows for large teams.
     """
 
     def __init__(self, flight: Flight, log: Path | None = None) -> None:
@@ -53,6 +55,7 @@ class Recorded:
         pairs: IntArray = np.concatenate([np.zeros(0, np.int64), *(block[2] for block in blocks)])
         self._so_far_m = np.minimum.accumulate(self._near_m)
         self.history = self._history()
+        self.pairs = self._pairs()
         self.marks = sorted([*self._events(), *self._nearest(pairs)])
         self._pads_m = np.array(
             [_first(track) if placed else np.full(3, np.nan) for track, placed in self._shown()]
@@ -137,6 +140,12 @@ class Recorded:
         error_m = self.flight.formation_error_at(t_ns)
         t_s = (t_ns - self.flight.start_ns) / SECOND_NS
         return np.column_stack([t_s, np.where(np.isfinite(near_m), near_m, np.nan), error_m])
+
+    def _pairs(self) -> FloatArray:
+        if len(self.flight.vehicles) > PAIRS_TEAM_MAX:
+            return np.zeros((0, 1))
+        t_ns = np.linspace(self.flight.start_ns, self.flight.stop_ns, _PAIR_ROWS).astype(np.int64)
+        return np.column_stack([(t_ns - self.flight.start_ns) / SECOND_NS, self.flight.distances_at(t_ns)])
 
     def _words(self, t_ns: int) -> Words:
         flight = self.flight

@@ -127,7 +127,7 @@ class ReplayPage:
                         ui.label(line).classes("text-xs")
             view.happened(recorded.marks)
             radius_m = recorded.at(0.0).words.radius_m
-            view.draw(recorded.history, radius_m)
+            view.draw(recorded.history, radius_m, recorded.pairs)
             marks = recorded.marks
             view.timeline.options.update(timeline_options(recorded.phases(), marks, 0.0, recorded.duration_s))
             side = _Side(recorded, view, phase)

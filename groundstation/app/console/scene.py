@@ -19,8 +19,12 @@ from groundstation.core.types import FloatArray
 
 _TRAIL = 150
 _MANY = 24
-"""More vehicles than that are drawn with fewer corners, and have shorter trails."""
+"""More vehicles than that are drawn with fewer corners and shorter trails; their pads and the formation's points are
+dots of one cloud each: a renderer without a graphics card pays for every object."""
+_FRAMES_PER_S = 30  # at most: the browser waits for so long after each picture, and then for its screen
+_TRAIL_COLOUR, _PAD_COLOUR, _GHOST_COLOUR = [0.0, 0.45, 0.7], [0.53, 0.53, 0.53], [0.0, 0.62, 0.45]
 _JUMP_S = 2.0
+_NOWHERE = [0.0, 0.0, -1000.0]  # below the ground, for clouds that have no points
 _SIZE_M = 0.4  # of what is drawn where r is not known
 _EDGE_GOOD_M, _EDGE_BAD_M = 0.1, 0.5
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -59,16 +63,21 @@ class TeamScene:
         self._has_radius, self._follows = bool(np.isfinite(snapshot.words.radius_m)), False
         r_m = snapshot.words.radius_m if self._has_radius else _SIZE_M
         low, high = snapshot.fence_enu_m
-        # Far enough away for the whole team, and for half of the fence.
+        # Far enough away for the whole team, and for half of the fence; over a wide team from higher up.
         pads_m = snapshot.pads_enu_m[np.all(np.isfinite(snapshot.pads_enu_m), axis=1)]
         wide_m = float(np.ptp(pads_m[:, :2], axis=0).max()) if len(pads_m) else 0.0
-        self._middle, self._away_m = (low + high) / 2, max(0.5 * float(np.max(high - low)), 0.9 * wide_m)
+        self._middle, self._away_m = low + [0.5, 0.5, 0.4] * (high - low), max(0.5 * float(np.max(high - low)), wide_m)
+        self._up_m = max(0.25 * self._away_m, 0.45 * wide_m)
         self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL if n <= _MANY else _TRAIL // 4) for _ in range(n)]
-        self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark)).classes("w-full")
+        self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark), fps=_FRAMES_PER_S).classes(
+            "w-full"
+        )
         self.view.style("height: min(60vh, 32rem)")
         body_m = 0.35 * r_m
         with self.view as scene:
-            for pad_m in pads_m:
+            if n > _MANY and len(pads_m):
+                scene.point_cloud(pads_m.tolist(), [_PAD_COLOUR] * len(pads_m), 0.8 * r_m)
+            for pad_m in pads_m if n <= _MANY else ():
                 scene.cylinder(0.4 * r_m, 0.4 * r_m, 0.01, 32).move(*pad_m.tolist()).rotate(1.5708, 0, 0).material(GREY)
             for one, other in itertools.combinations(itertools.product((0, 1), repeat=3), 2):
                 if sum(a != b for a, b in zip(one, other, strict=True)) == 1:
@@ -84,8 +93,12 @@ class TeamScene:
                     self._regions[-1].visible(self._has_radius)
                     scene.text(str(sysid)).move(0.0, 0.0, r_m)
                 self._vehicles.append(vehicle)
-            self._ghosts = [scene.sphere(0.3 * body_m, 8, 6).material(GREEN, 0.6).visible(False) for _ in range(n)]
-            self._clouds = [scene.point_cloud([[0, 0, 0]], [[0, 0.45, 0.7]], 0.03) for _ in range(n)]
+            self._ghosts = [
+                scene.sphere(0.3 * body_m, 8, 6).material(GREEN, 0.6).visible(False)
+                for _ in (snapshot.ids if n <= _MANY else ())
+            ]
+            self._ghost_cloud = scene.point_cloud([_NOWHERE], [_GHOST_COLOUR], 0.6 * body_m)
+            self._trail_cloud = scene.point_cloud([_NOWHERE], [_TRAIL_COLOUR], 0.03)
         self._edges: list[Line] = []
         self._colours: dict[int, str] = {}
         self._r_m, self._grown = r_m, [1.0] * n
@@ -96,18 +109,19 @@ class TeamScene:
         """Moves the camera: top, side, or follow, which stays near the team."""
         self._follows = where == "follow"
         if not self._follows:
-            self._aim(self._middle, self._away_m, top=where == "top")
+            self._aim(self._middle, self._away_m, self._up_m, top=where == "top")
 
     def _follow(self, snapshot: Snapshot) -> None:
         known = np.isfinite(snapshot.pos_team_enu_m).all(axis=1)
         if known.any():
             pos_m = snapshot.pos_team_enu_m[known]
-            self._aim(pos_m.mean(axis=0), 1.5 * max(1.0, float(np.ptp(pos_m, axis=0).max())), top=False)
+            away_m = 1.5 * max(1.0, float(np.ptp(pos_m, axis=0).max()))
+            self._aim(pos_m.mean(axis=0), away_m, 0.4 * away_m, top=False)
 
-    def _aim(self, at_m: FloatArray, away: float, *, top: bool) -> None:
+    def _aim(self, at_m: FloatArray, away: float, up: float, *, top: bool) -> None:
         x, y, z = at_m.tolist()
         self.view.move_camera(
-            x, y - (0.01 if top else away), z + (away if top else 0.25 * away), look_at_x=x, look_at_y=y, look_at_z=z
+            x, y - (0.01 if top else away), z + (away if top else up), look_at_x=x, look_at_y=y, look_at_z=z
         )
 
     def show(self, snapshot: Snapshot, *, slowly: bool) -> None:
@@ -155,10 +169,12 @@ class TeamScene:
             self._graph(snapshot)
             if self._follows:
                 self._follow(snapshot)
-            for cloud, trail in zip(self._clouds, self._trails, strict=True):
-                if trail:
-                    cloud.set_points(list(trail), [[0.0, 0.45, 0.7]] * len(trail))
+            walked = [point for trail in self._trails for point in trail] or [_NOWHERE]
+            self._trail_cloud.set_points(walked, [_TRAIL_COLOUR] * len(walked))
             ghost_m = ghost_enu_m(snapshot)
+            if not self._ghosts:
+                points = [_NOWHERE] if ghost_m is None else ghost_m.tolist()
+                self._ghost_cloud.set_points(points, [_GHOST_COLOUR] * len(points))
             for row, ghost in enumerate(self._ghosts):
                 ghost.visible(ghost_m is not None)
                 if ghost_m is not None:

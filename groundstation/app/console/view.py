@@ -20,18 +20,19 @@ COLUMNS = (
     "id",
     "role",
     "duty",
+    "state",
+    "avoidance",
     "mode",
     "armed",
     "battery",
     "pose age",
+    "setpoint",
     "silent",
     "lost",
     "radio",
-    "setpoint",
-    "avoidance",
-    "state",
     "last words",
 )
+"""What needs eyes comes first: a tablet shows the first ten of a row, and scrolls to the others."""
 _FIGURES = (
     ("smallest distance so far", "min_distance_m"),
     ("smallest distance now", "distance_now_m"),
@@ -46,10 +47,10 @@ _FIGURES = (
 """Words for people, and the name that the answer of ``gs fly --json`` has for it."""
 FIGURE_NAMES = tuple(name for _, name in _FIGURES)
 _CHARTS = (
-    ("smallest distance, m", BLUE),
+    ("distances of pairs, the smallest in blue, m", BLUE),
     ("largest error of the formation, m", GREEN),
-    ("a tick has sent so long after it was due, ms", SKY),
-    ("lost of the frames of the worst link in a second, %", ORANGE),
+    ("ticks sent late by, ms", SKY),
+    ("frames lost on the worst link, %", ORANGE),
 )
 """Of the columns of a history, after the time."""
 _LINES = 400
@@ -160,7 +161,7 @@ class TeamView:
                 with ui.column().classes("w-full" if narrow else "w-2/3 max-md:w-full"):
                     with ui.row():
                         for where in ("side", "top", "follow"):
-                            ui.button(where, on_click=lambda _, at=where: self._look(at)).props("dense no-wrap")
+                            ui.button(where, on_click=lambda _, at=where: self.look(at)).props("dense no-wrap")
                     self._place = ui.column().classes("w-full")
             with ui.column().classes("w-full" if narrow or not solid else "w-1/3 max-md:w-full"):
                 self.side = ui.column().classes("w-full")
@@ -171,7 +172,8 @@ class TeamView:
                             ui.label(words)
                             self._figures[name] = ui.label("-").props(named(prefix + name))
                 self._reason = ui.label().classes("text-sm font-bold").props(named(prefix + "reason"))
-                self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs").props(named(prefix + "notes"))
+                self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs")
+                self._news.style("white-space: pre-wrap").props(named(prefix + "notes"))
         self._map_place = ui.column().classes("w-full")
         self.timeline = ui.echart(timeline_options([], [], 0.0, 1.0)).classes("w-full h-28")
         self.timeline.props(named(prefix + "timeline"))
@@ -185,7 +187,6 @@ class TeamView:
         # Two hundred are scrolled through, not leafed through; only those that are seen are drawn.
         self.table.classes("w-full").props("dense virtual-scroll hide-pagination").style("max-height: 28rem")
         self.table.props(":rows-per-page-options=[0] binary-state-sort").props(named(prefix + "team"))
-        self.table.props("dense").props(named(prefix + "team"))
         find.bind_value_to(self.table, "filter")
 
     def themed(self, *, dark: bool) -> None:
@@ -195,7 +196,8 @@ class TeamView:
             self._place.clear()
         self._dark = dark
 
-    def _look(self, where: str) -> None:
+    def look(self, where: str) -> None:
+        """Moves the camera of the scene: side, top or follow."""
         if self._scene is not None:
             self._scene.look(where)
 
@@ -221,12 +223,22 @@ class TeamView:
         self._reason.set_text(snapshot.words.reason)
         self.table.rows = rows_of(snapshot)
 
-    def draw(self, history: Sequence[Sequence[float]] | FloatArray, radius_m: float) -> None:
-        """Shows the charts: a row of ``history`` is seconds, then a value for each."""
+    def draw(
+        self,
+        history: Sequence[Sequence[float]] | FloatArray,
+        radius_m: float,
+        pairs: Sequence[Sequence[float]] | FloatArray = (),
+    ) -> None:
+        """Shows the charts: a row of ``history`` is seconds, then a value for each; of ``pairs`` every distance."""
+        every = np.asarray(pairs, dtype=np.float64)
         for column, chart in enumerate(self._charts):
             title, colour = _CHARTS[column]
             limit = radius_m if column == 0 else np.nan
-            chart.options.update(chart_options(title, columns_of(history, column + 1), colour, limit))
+            chart.options.update(
+                chart_options(
+                    title, columns_of(history, column + 1), colour, limit, every if column == 0 and len(every) else None
+                )
+            )
 
     def happened(self, notes: Sequence[Mark]) -> int:
         """Adds what is new of what happened; returns how many alarms are among it."""

@@ -44,6 +44,7 @@ from groundstation.core.phases import Phase
 from groundstation.mavlink.vehicle import UNKNOWN
 from groundstation.mission.operator import Order
 from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.roster import Duty
 from groundstation.mission.timing import SECOND_NS
 from groundstation.mission.told import Told
 
@@ -173,7 +174,7 @@ class Viewers:
         bits = (
             (look.held, HELD),
             (look.lost, LOST),
-            (look.foreign, FOREIGN),
+            (look.foreign & (look.duty < Duty.LANDS), FOREIGN),  # who was told to land lands by its own mode
             (runner.airborne, AIRBORNE),
             (look.avoids, AVOIDS),
             (look.blocked, BLOCKED),
