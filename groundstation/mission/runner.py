@@ -222,7 +222,7 @@ class Runner(Told):
         due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
         # Who waits to hear us follows the first setpoint that comes through, up to a second before we know.
         still = team.board.hold | team.board.waits | ~team.steerable
-        sent = np.where(still[:, None], 0.0, team.board.speeds.told(velocity_ned_m_s))
+        sent = np.where(still[:, None], 0.0, team.board.told(velocity_ned_m_s))
         self._sent_ned_m_s = team.landing.dark.velocities(sent, team.landing.in_the_dark, now_ns)
         steered = np.asarray(team.roster.steered & state.streams)
         try:

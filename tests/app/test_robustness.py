@@ -56,7 +56,7 @@ def test_a_team_beyond_the_bound_does_not_form_and_says_so(tmp_path: Path) -> No
     row = fly_case(_case(tmp_path, FOUR.replace(*UNREAD) + EMULATOR % "heading_deg: 80, alike: true"))
     assert not row["formed"]
     assert row["error"] == ""
-    assert row["told"]
+    assert "limit 45: its heading is off" in row["reason"], row["reason"]
 
 
 def _sensed(sensing: str) -> str:

@@ -19,6 +19,7 @@ from groundstation.mission.monitors.contradictions import Contradictions
 from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
+from groundstation.mission.monitors.headings import Headings
 from groundstation.mission.monitors.losses import Losses
 from groundstation.mission.monitors.positions import Frames, Frozen, LinkSilence, PoseAge, PoseJump, RoomSilence, Tilt
 from groundstation.mission.monitors.restarts import Restarts
@@ -61,14 +62,16 @@ class Board:
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self.speeds, self.resting = PoorSpeeds(plan), Resting(plan)
         self.wind = Wind(plan, self.speeds)
-        self._modes, self._following = Modes(plan), Following(plan, self.wind)
+        self._headings = Headings(plan, self.wind)
+        self._modes, self._following = Modes(plan), Following(plan, self.wind, self._headings)
         self._contradictions, self._touchdowns = Contradictions(plan), Touchdowns(plan)
         self._traffic = TrafficNear(plan)
         self._monitors: tuple[Monitor, ...] = (
             self.resting, self._jumps, LinkSilence(plan), RoomSilence(plan), self._ages, Frozen(plan), Heartbeats(plan),
             Battery(plan), BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind,
-            self._following, Distance(plan), Descents(plan, self.wind, self.speeds), Restarts(plan), self._touchdowns,
-            self._modes, Sinking(plan, self._modes), LateTicks(plan), self._contradictions, self._traffic,
+            self._headings, self._following, Distance(plan), Descents(plan, self.wind, self.speeds),
+            Restarts(plan), self._touchdowns, self._modes, Sinking(plan, self._modes), LateTicks(plan),
+            self._contradictions, self._traffic,
         )  # fmt: skip
         self._losses = Losses(plan)
 
@@ -144,6 +147,10 @@ class Board:
     def steady(self, poses: Poses) -> Poses:
         """Poses to steer by: with velocities of which is known what they are worth."""
         return self.speeds.steady(poses, self._jumps.suspect)
+
+    def told(self, velocity_ned_m_s: FloatArray) -> FloatArray:
+        """What vehicles are told so that they move as wanted, shape (n, 3), by all that is known to be off."""
+        return self._headings.told(self.speeds.told(velocity_ned_m_s))
 
     def look(self, sight: Sight, *, only_the_ground: bool = False) -> Findings:
         """Looks at the fleet once per tick.

@@ -10,10 +10,11 @@ import numpy as np
 
 from groundstation.core.limits import Fence
 from groundstation.core.metrics import near_pairs
-from groundstation.core.quick import between, length, norms, some
+from groundstation.core.quick import length, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, LastingOf, Reaction, Sight
-from groundstation.mission.monitors.wind import Wind
+from groundstation.mission.monitors.headings import Headings
+from groundstation.mission.monitors.wind import Wind, unexplained
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS, SinceBefore
 
@@ -60,9 +61,9 @@ class BeyondFence:
 class Following:
     """Vehicles that do not do what they are told, compared with a first-order lag that does, in the same wind."""
 
-    def __init__(self, plan: MissionPlan, wind: Wind) -> None:
+    def __init__(self, plan: MissionPlan, wind: Wind, headings: Headings) -> None:
         n = plan.size
-        self._wind = wind
+        self._wind, self._headings = wind, headings
         self._limit_m_s = plan.limits.tracking_m_s
         self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
         # Whoever strays gets its setpoints as they are from then on, and answers with the lag of its own.
@@ -83,12 +84,13 @@ class Following:
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
         new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]
         step = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None]
-        self._model = np.where(new, sight.vel_ned_m_s, self._model + step * (sight.sent_ned_m_s - self._model))
+        sent = self._headings.flown(sight.sent_ned_m_s)
+        self._model = np.where(new, sight.vel_ned_m_s, self._model + step * (sent - self._model))
         error = self._error + passed_s / _SMOOTH_S * (sight.vel_ned_m_s - self._model - self._error)
         self._error = np.where(new | ~np.isfinite(error), 0.0, error)
         carried = self._carried + passed_s / _SMOOTH_S * (self._wind.carried_m_s - self._carried)
         self._carried = np.where(new, 0.0, carried)
-        off_m_s = norms(_without(self._error, self._carried))
+        off_m_s = norms(unexplained(self._error, self._carried))
         away = off_m_s > self._limit_m_s
         for vehicle in self._first(away, sight.now_ns):
             self.strays[vehicle] = True
@@ -100,12 +102,6 @@ class Following:
         for vehicle in self._again(away, sight.now_ns):
             yield Finding(Reaction.LAND, f"has not followed its setpoints for {_STRAYS_ON_S:g} s", (vehicle,))
         self.strays &= away
-
-
-def _without(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
-    """What is left of errors when the wind explains what it can of them, and nothing besides, shape (n, 3)."""
-    along = (error_m_s * carried_m_s).sum(axis=1) / np.maximum((carried_m_s**2).sum(axis=1), 1e-12)
-    return np.asarray(error_m_s - between(along, 0.0, 1.0)[:, None] * carried_m_s)
 
 
 class Distance:

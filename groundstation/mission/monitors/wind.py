@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import every, finite_rows, length, norms
+from groundstation.core.quick import between, every, finite_rows, length, norms
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
 from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, Reaction, Sight
@@ -132,3 +132,9 @@ class Wind:
         north, east, _ = self.estimate.mean_ned_m_s
         point = _POINTS[round(math.atan2(-east, -north) / (math.pi / 4.0)) % 8]
         return f"wind of {mean_m_s:.1f} m/s from the {point} with gusts of {gust_m_s:.1f} m/s"
+
+
+def unexplained(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
+    """What is left of errors when the wind explains what it can of them, and nothing besides, shape (n, 3)."""
+    along = (error_m_s * carried_m_s).sum(axis=1) / np.maximum((carried_m_s**2).sum(axis=1), 1e-12)
+    return np.asarray(error_m_s - between(along, 0.0, 1.0)[:, None] * carried_m_s)

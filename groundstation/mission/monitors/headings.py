@@ -1,0 +1,120 @@
+"""Vehicles whose own north is wrong: they fly every velocity turned, and report the heading that they believe.
+
+What a vehicle was told, delayed by its lag, is held against how its positions move, both level: the turn that takes one
+to the other is the error of its heading, where it moves enough for that and the turn explains what it does. A wind
+carries, it does not turn: what the wind explains is taken off first.
+
+Who was found so is told everything turned back by as much, for what keeps vehicles apart counts on what is flown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from groundstation.core.quick import some
+from groundstation.core.types import BoolArray, FloatArray
+from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
+from groundstation.mission.monitors.wind import Wind, unexplained
+from groundstation.mission.plan.plan import MissionPlan
+from groundstation.mission.timing import SinceBefore
+
+_FORGETS_S = 1.0
+_NEW_IN_AIR_S = 1.0
+_LIMIT_RAD = math.radians(45.0)
+_LASTS_S = 0.2
+_LEAST_M_S = 0.1
+"""Root mean square of what was told over the memory: below that a turn is not told from noise."""
+_COHERENT = 0.85
+"""Share of the motion that the turned velocities explain."""
+_SLOW, _FAST = 0.5, 1.6
+REMEDY = "see to its compass, or to how its body is defined in the motion capture (front to the room's x axis)"
+
+
+class Headings:
+    """Turns between what vehicles are told and what they fly.
+
+    Args:
+        plan: with lags.
+        wind: what carries healthy vehicles.
+
+    Attributes:
+        turn_rad: by how much those fly to the right of what they are told whose heading was found to be off, shape
+            (n,); 0 for all others.
+    """
+
+    def __init__(self, plan: MissionPlan, wind: Wind) -> None:
+        n = plan.size
+        self._wind = wind
+        self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
+        self._delay_s: FloatArray = np.array([profile.delay_s for profile in plan.vehicle_profiles])
+        self._late: FloatArray = np.zeros((n, 3))
+        self._model: FloatArray = np.zeros((n, 3))
+        self._told: FloatArray = np.zeros(n)
+        self._flown: FloatArray = np.zeros(n)
+        self._both: FloatArray = np.zeros((n, 2))
+        self._steered_s: FloatArray = np.zeros(n)
+        self._since_before = SinceBefore(0)
+        self._off = Lasting(n, _LASTS_S)
+        self.turn_rad: FloatArray = np.zeros(n)
+
+    def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
+        """Names whose heading is off, and brings everybody back: avoidance counts on what is flown."""
+        passed_s = min(self._since_before(sight.now_ns), 0.2)
+        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
+        self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
+        new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]
+        moves = sight.vel_ned_m_s - sight.vel_error_ned_m_s
+        # A delay and a lag: two lags, which is near enough for a direction.
+        late = np.minimum(passed_s / np.maximum(self._delay_s, passed_s), 1.0)[:, None] if passed_s > 0.0 else 1.0
+        lags = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None] if passed_s > 0.0 else 1.0
+        self._late = np.where(new, sight.sent_ned_m_s, self._late + late * (sight.sent_ned_m_s - self._late))
+        self._model = np.where(new, moves, self._model + lags * (self._late - self._model))
+        carried = unexplained(moves - self._model, self._wind.carried_m_s)
+        told, flown = self._model[:, :2], (self._model + carried)[:, :2]
+        share = min(passed_s / _FORGETS_S, 1.0)
+        both = np.stack([(told * flown).sum(axis=1), told[:, 0] * flown[:, 1] - told[:, 1] * flown[:, 0]], axis=1)
+        told_square, flown_square = (told**2).sum(axis=1), (flown**2).sum(axis=1)
+        fresh = new[:, 0] | ~np.isfinite(flown_square)
+        self._told = np.where(fresh, 0.0, self._told + share * (told_square - self._told))
+        self._flown = np.where(fresh, 0.0, self._flown + share * (flown_square - self._flown))
+        self._both = np.where(fresh[:, None], 0.0, self._both + share * (both - self._both))
+        off = self._turned()
+        news = self._off(off, sight.now_ns)
+        if not some(off):
+            return
+        angle_rad = np.arctan2(self._both[:, 1], self._both[:, 0])
+        self.turn_rad = np.where(off & (self.turn_rad != 0.0), angle_rad, self.turn_rad)
+        for vehicle in news:
+            self.turn_rad[vehicle] = angle_rad[vehicle]
+            degrees = math.degrees(angle_rad[vehicle])
+            side = "to the right" if degrees > 0.0 else "to the left"
+            what = f"flies {abs(degrees):.0f} degrees {side} of what it is told, limit {math.degrees(_LIMIT_RAD):.0f}"
+            what += ": its heading is off, and it is told that much less"
+            yield Finding(Reaction.HOME, what, (vehicle,), remedy=REMEDY)
+
+    def told(self, velocity_ned_m_s: FloatArray) -> FloatArray:
+        """What vehicles are told so that they move as wanted, shape (n, 3); the same where no heading is off."""
+        return self._rotated(velocity_ned_m_s, -1.0)
+
+    def flown(self, sent_ned_m_s: FloatArray) -> FloatArray:
+        """What they fly of what they are told, shape (n, 3)."""
+        return self._rotated(sent_ned_m_s, 1.0)
+
+    def _rotated(self, velocity_ned_m_s: FloatArray, sign: float) -> FloatArray:
+        if not np.count_nonzero(self.turn_rad):
+            return velocity_ned_m_s
+        cos, sin = np.cos(sign * self.turn_rad), np.sin(sign * self.turn_rad)
+        north, east, down = velocity_ned_m_s.T
+        return np.stack([cos * north - sin * east, sin * north + cos * east, down], axis=1)
+
+    def _turned(self) -> BoolArray:
+        """Whose motion is what it was told, turned by more than the limit, shape (n,)."""
+        length = np.hypot(self._both[:, 0], self._both[:, 1])
+        moves = self._told > _LEAST_M_S**2
+        gain = length / np.maximum(self._told, 1e-9)
+        explained = length**2 / np.maximum(self._told * self._flown, 1e-12)
+        turned = self._both[:, 0] < math.cos(_LIMIT_RAD) * length
+        return np.asarray(moves & turned & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)

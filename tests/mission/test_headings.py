@@ -1,0 +1,93 @@
+"""Vehicles whose own north is wrong are named, by which angle and to which side; healthy ones in wind never are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from groundstation.core.types import FloatArray
+from tests.mission.test_monitors import Scene
+
+TICK_S = 0.02
+
+
+class Flown:
+    """Eight vehicles that fly changing setpoints with a lag, each turned by an angle, in a wind that carries them."""
+
+    def __init__(self, turns_deg: list[float], *, seed: int, lag_s: float = 0.2, wind_m_s: float = 0.0) -> None:
+        self.scene = Scene("limits.tracking_m_s=5")
+        self._rng = np.random.default_rng(seed)
+        turns = np.radians(turns_deg)
+        self._turn: FloatArray = np.array(
+            [[[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]] for a in turns]
+        )
+        self._lag_s, self._wind_m_s = lag_s, wind_m_s
+        self._air: FloatArray = np.zeros((8, 3))
+        self._vel: FloatArray = np.zeros((8, 3))
+
+    def step(self) -> None:
+        scene, rng = self.scene, self._rng
+        scene.status()
+        if rng.random() < TICK_S / 0.8:  # now and then everybody is told something else
+            scene.sent = rng.uniform(-0.4, 0.4, (8, 3)) * [1.0, 1.0, 0.2] * rng.integers(0, 2, (8, 1))
+        wanted = np.einsum("nij,nj->ni", self._turn, scene.sent)
+        self._vel += TICK_S / self._lag_s * (wanted - self._vel)
+        self._air += TICK_S / 1.5 * (rng.normal(0.0, self._wind_m_s, (8, 3)) * np.sqrt(2.0 * 1.5 / TICK_S) - self._air)
+        moves = self._vel + self._air
+        scene.vel = moves + rng.normal(0.0, 0.02, (8, 3))
+        scene.pos = scene.pos + TICK_S * moves * [1.0, 1.0, 0.0]
+
+    def told(self, seconds: float) -> list[str]:
+        self.scene.run(seconds, self.step)
+        return [line for line in self.scene.alarms if "its heading is off" in line]
+
+
+@pytest.mark.parametrize("degrees", [60.0, -75.0, -120.0, 180.0])
+def test_one_that_flies_turned_is_named_with_the_angle_and_comes_back(degrees: float) -> None:
+    flown = Flown([0.0, 0.0, degrees, 0.0, 0.0, 0.0, 0.0, 0.0], seed=3)
+    told = flown.told(8.0)
+    assert len(told) == 1, told
+    assert told[0].startswith("vehicle 3: flies ")
+    said = float(told[0].split(" flies ")[1].split(" degrees")[0])
+    assert abs(said - abs(degrees)) < 15.0
+    if abs(degrees) < 170.0:
+        assert ("to the right" in told[0]) == (degrees > 0.0)
+    assert "everybody comes back; see to its compass, or to how its body is defined" in told[0]
+
+
+@settings(max_examples=4, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    lag_s=st.floats(0.15, 0.26),
+    wind_m_s=st.floats(0.0, 0.04),
+    turn_deg=st.floats(-10.0, 10.0),
+)
+def test_healthy_ones_in_gusts_with_another_lag_and_a_little_turn_are_left_alone(
+    seed: int, lag_s: float, wind_m_s: float, turn_deg: float
+) -> None:
+    assert Flown([turn_deg] * 8, seed=seed, lag_s=lag_s, wind_m_s=wind_m_s).told(12.0) == []
+
+
+def test_who_is_told_to_stand_is_not_judged_by_what_carries_it() -> None:
+    scene = Scene()
+
+    def carried() -> None:
+        scene.status()
+        scene.vel = np.full((8, 3), 0.05)
+
+    scene.run(6.0, carried)
+    assert not [line for line in scene.alarms if "its heading is off" in line]
+
+
+def test_who_was_found_is_told_everything_turned_back_and_the_others_as_ever() -> None:
+    flown = Flown([0.0, 0.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0], seed=3)
+    wanted = np.tile([0.3, 0.0, -0.1], (8, 1))
+    assert flown.scene.monitor.told(wanted) is wanted
+    assert flown.told(8.0)
+    told = flown.scene.monitor.told(wanted)
+    np.testing.assert_array_equal(np.delete(told, 2, axis=0), np.delete(wanted, 2, axis=0))
+    degrees = float(np.degrees(np.arctan2(told[2, 1], told[2, 0])))
+    assert degrees == pytest.approx(-60.0, abs=15.0)
+    assert np.linalg.norm(told[2]) == pytest.approx(np.linalg.norm(wanted[2]))
