@@ -42,7 +42,7 @@ class VehicleConfig:
     """One emulated vehicle.
 
     Attributes:
-        sysid: MAVLink system id, 1 to 255.
+        sysid: MAVLink system id, 1 to 255, once on its link.
         autopilot: name in ``sitl.personalities.PERSONALITIES``.
         profile: name in ``sitl.personalities.PROFILES``.
         pad_enu_m: where it stands, in the world's frame.
@@ -53,6 +53,8 @@ class VehicleConfig:
         gps: whether it has a GPS receiver.
         signing_key: 32 bytes with which it signs, and without which nobody is obeyed; None for neither.
         params: names and values of parameters that differ from the firmware's defaults.
+        link: number of the link that it is behind.
+        name: by which faults name it; None for its system id.
     """
 
     sysid: int
@@ -66,6 +68,13 @@ class VehicleConfig:
     gps: bool = True
     signing_key: bytes | None = field(default=None, repr=False)
     params: tuple[tuple[str, float], ...] = ()
+    link: int = 0
+    name: int | None = None
+
+    @property
+    def known_as(self) -> int:
+        """By which number faults name it."""
+        return self.sysid if self.name is None else self.name
 
 
 @dataclass(frozen=True)

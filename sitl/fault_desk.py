@@ -52,11 +52,11 @@ class FaultDesk:
         self._plan()
 
     def _check(self, faults: Sequence[Fault]) -> None:
-        known = {vehicle.sysid for vehicle in self._state.config.vehicles}
+        known = {vehicle.known_as for vehicle in self._state.config.vehicles}
         for fault in faults:
-            for sysid in fault.vehicles:
-                if sysid not in known:
-                    raise FaultError(f"{fault.kind}: vehicles: {sysid} is not among the emulated ones")
+            for name in fault.vehicles:
+                if name not in known:
+                    raise FaultError(f"{fault.kind}: vehicles: {name} is not among the emulated ones")
 
     def _plan(self) -> None:
         begins = self._waiting[-1][0] if self._waiting else _NEVER
@@ -87,7 +87,7 @@ class FaultDesk:
 
     def _indices(self, fault: Fault) -> list[int]:
         vehicles = self._state.config.vehicles
-        return [i for i, vehicle in enumerate(vehicles) if not fault.vehicles or vehicle.sysid in fault.vehicles]
+        return [i for i, vehicle in enumerate(vehicles) if not fault.vehicles or vehicle.known_as in fault.vehicles]
 
     def _begin(self, fault: Fault, at_ns: int) -> None:
         end_ns = _NEVER if fault.for_s is None else at_ns + round(fault.for_s * SECOND)

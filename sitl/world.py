@@ -271,14 +271,14 @@ def _first_port(vehicle: VehicleConfig) -> int | None:
 
 
 def _check(config: WorldConfig) -> None:
-    seen: set[int] = set()
+    seen: set[tuple[int, int]] = set()
     for k, vehicle in enumerate(config.vehicles):
         where = f"emulated vehicle {k + 1}"
         if not 1 <= vehicle.sysid <= 255:
             raise ValueError(f"{where}: sysid is {vehicle.sysid}, limits 1 and 255")
-        if vehicle.sysid in seen:
+        if (vehicle.link, vehicle.sysid) in seen:
             raise ValueError(f"{where}: sysid {vehicle.sysid} is taken; every vehicle needs its own")
-        seen.add(vehicle.sysid)
+        seen.add((vehicle.link, vehicle.sysid))
         for key, value, known in (
             ("profile", vehicle.profile, PROFILES),
             ("autopilot", vehicle.autopilot, PERSONALITIES),

@@ -23,11 +23,11 @@ from groundstation.app.session import Session
 from groundstation.core.types import FloatArray
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.reading import load_mission
-from groundstation.mission.plan.schema import VEHICLE_IDS
+from groundstation.mission.plan.vehicle_spec import SYSTEM_IDS
 from groundstation.mission.runner import Phase
 from sitl.world import World
 
-_SIZES = (8, 30, 100, min(1000, VEHICLE_IDS[-1]))
+_SIZES = (8, 30, 100, min(1000, SYSTEM_IDS[-1]))
 _TICKS = 100
 _PERIOD_NS = 20_000_000
 _HEADINGS = 50
@@ -88,7 +88,7 @@ def _ticks(plan: MissionPlan) -> tuple[list[float], FloatArray]:
     """Milliseconds of each tick once everybody hovers, and where everybody is, shape (n, 3)."""
     session = open_flight(ExitStack(), plan, make=Session).session
     world, fleet = World(world_config(plan, 0), 0), session.runner.fleet
-    peers, links = [f"emulator:{sysid}" for sysid in fleet.sysid], fleet.link.tolist()
+    peers, links = [f"emulator:{sysid}" for sysid in fleet.ids], fleet.link.tolist()
     vehicle_of_peer = {peer: vehicle for vehicle, peer in enumerate(peers)}
     taken_ms: list[float] = []
     now_ns = 0

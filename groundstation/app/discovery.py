@@ -28,7 +28,7 @@ from groundstation.mavlink.station import (
     ground_station_heartbeat,
 )
 from groundstation.mavlink.vehicle import ARMED_FLAG, AUTOPILOT_COMPID
-from groundstation.mission.plan.schema import VEHICLE_IDS
+from groundstation.mission.plan.vehicle_spec import SYSTEM_IDS
 
 _HELLO_NS = 500_000_000
 _STALE_NS = 3_000_000_000
@@ -79,8 +79,8 @@ class Found:
     @property
     def why_not(self) -> str:
         """Why no mission takes it, "" where one does."""
-        if self.sysid not in VEHICLE_IDS:
-            low, high = VEHICLE_IDS[0], VEHICLE_IDS[-1]
+        if self.sysid not in SYSTEM_IDS:
+            low, high = SYSTEM_IDS[0], SYSTEM_IDS[-1]
             return f"missions take ids {low} to {high}; give it one (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)"
         if (unflown := unflown_words(self.mav_type)) is not None:
             return unflown
@@ -258,7 +258,7 @@ def show_found(out: Output, discovery: Discovery, problems: list[str], now_ns: i
         place = item.place_deg_m
         where = f"{place[0]:.6f} {place[1]:.6f} {place[2]:.1f} m" if place else "-"
         kind = item.type_name if unflown_words(item.mav_type) is None else f"{item.type_name}, not flown by gs"
-        sysid = str(item.sysid) if item.sysid in VEHICLE_IDS else f"{item.sysid}, no vehicle's"
+        sysid = str(item.sysid) if item.sysid in SYSTEM_IDS else f"{item.sysid}, no vehicle's"
         armed = "yes" if item.armed else "no"
         table.add_row(sysid, name, kind, item.version or "-", item.mode_name, armed, where)
     out.console.print(table)

@@ -22,7 +22,7 @@ from groundstation.core.metrics import min_clearance
 from groundstation.core.regions import SafetyRegion
 from groundstation.mission.ground.failsafe import make_failsafe
 from groundstation.mission.plan.plan import MissionPlan
-from groundstation.mission.plan.schema import VehicleSpec
+from groundstation.mission.plan.vehicle_spec import VehicleSpec
 from groundstation.mission.runner import Phase
 from sitl.estimator import GPS, MOCAP
 from sitl.faults import Fault, FaultError, load_faults
@@ -71,7 +71,9 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
     config = WorldConfig(
         vehicles=tuple(
             VehicleConfig(
-                sysid=vehicle.id,
+                sysid=sysid,
+                name=vehicle.id,
+                link=link,
                 autopilot=vehicle.autopilot,
                 profile=_flown(plan, vehicle.profile),
                 pad_enu_m=vehicle.pad_m,
@@ -82,8 +84,15 @@ def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
                 signing_key=None if key is None else key.setup_bytes(),
                 params=_params(vehicle, autopilot.failsafes.settings(wish)),
             )
-            for vehicle, yaw, key, autopilot, wish in zip(
-                plan.spec.vehicles, yaws, key_of_vehicle, plan.autopilots, wishes, strict=True
+            for vehicle, sysid, link, yaw, key, autopilot, wish in zip(
+                plan.spec.vehicles,
+                plan.sysids,
+                plan.link_of_vehicle,
+                yaws,
+                key_of_vehicle,
+                plan.autopilots,
+                wishes,
+                strict=True,
             )
         )
     )

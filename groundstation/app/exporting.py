@@ -20,10 +20,12 @@ KINDS: dict[str, tuple[str, str | None]] = {
     "csv": ("groundstation.app.csv_file", None),
     "mcap": ("groundstation.app.mcap_file", "export"),
     "rrd": ("groundstation.app.rrd_file", "rerun"),
+    "tlog": ("groundstation.app.link_log", None),
 }
 """What ``--to`` names: the module that writes it, and the extra that it needs."""
 
 _PARQUET, _PARQUET_END = b"PAR1", 8  # a file ends with its footer, the footer's length (4 bytes), and this
+_STAMP_BYTES, _FRAME = 8, b"\xfd"  # a log begins with a stamp and a frame of MAVLink 2
 _MCAP, _RERUN, _HEAD = b"\x89MCAP0\r\n", b"RRF", 256
 
 
@@ -49,7 +51,9 @@ def _where_named(content: bytes) -> bytes:
     """Where a file names its maker: a Parquet file's footer, the head of an MCAP or Rerun file, a CSV's first line."""
     if content.endswith(_PARQUET):
         return content[-_PARQUET_END - int.from_bytes(content[-_PARQUET_END:-4], "little") :]
-    return content[:_HEAD] if content.startswith((_MCAP, _RERUN)) else content.partition(b"\n")[0]
+    if content.startswith((_MCAP, _RERUN)) or content[_STAMP_BYTES : _STAMP_BYTES + 1] == _FRAME:
+        return content[:_HEAD]
+    return content.partition(b"\n")[0]
 
 
 def export(flight: Flight, to: str, path: Path, rate_hz: float) -> dict[str, object]:

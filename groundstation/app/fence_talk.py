@@ -126,8 +126,9 @@ class FenceTalk(TeamTalk[_Vehicle]):
     def __init__(self, plan: MissionPlan, *, may_set: bool) -> None:
         self._plan, self._may_set = plan, may_set
         kinds = [FENCE, *([RALLY] if plan.spec.fence.rally else [])]
-        vehicles = zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)
-        super().__init__(plan, [_Vehicle(vehicle.id, link, kinds=list(kinds)) for vehicle, link in vehicles])
+        vehicles = zip(plan.spec.vehicles, plan.sysids, plan.link_of_vehicle, strict=True)
+        known = [_Vehicle(vehicle.id, sysid, link, kinds=list(kinds)) for vehicle, sysid, link in vehicles]
+        super().__init__(plan, known)
         anchor = plan.spec.anchor
         self._anchor = None if anchor is None else (anchor.lat_deg, anchor.lon_deg, anchor.alt_m)
         self._same_m = _SAME_GPS_M if anchor is None else _SAME_M
@@ -280,12 +281,12 @@ class FenceTalk(TeamTalk[_Vehicle]):
         """What is not as it should be, a line each."""
         lines = []
         for item in self._vehicles:
-            name = f"vehicle {item.sysid}"
+            name = f"vehicle {item.id}"
             lines += [f"{name}: {problem}" for problem in item.problems]
             if not item.peer:
                 lines.append(f"{name}: was not heard; its fence is not known")
             elif item.kinds and self._anchor is None:
-                hangs = f"vehicle {self._vehicles[self._hangs_on].sysid} does not tell its place on earth"
+                hangs = f"vehicle {self._vehicles[self._hangs_on].id} does not tell its place on earth"
                 lines.append(f"{name}: its fence is not known: {hangs}")
             elif item.kinds:
                 lines.append(f"{name}: its {_NAMES[item.kinds[0]]} was not uploaded in time")
@@ -294,7 +295,7 @@ class FenceTalk(TeamTalk[_Vehicle]):
     def uploaded(self) -> list[str]:
         """What was uploaded and read back, a line for each vehicle."""
         return [
-            f"vehicle {item.sysid}: {' and '.join(item.changed)} uploaded, and read back"
+            f"vehicle {item.id}: {' and '.join(item.changed)} uploaded, and read back"
             for item in self._vehicles
             if item.changed
         ]

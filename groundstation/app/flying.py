@@ -89,8 +89,9 @@ def refused_frames(plan: MissionPlan, gate: FlightGate | None) -> list[str]:
     """What signing left out, a line for each sender and reason, and whether its times could be kept."""
     if gate is None:
         return []
-    link_of = {vehicle.id: link for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)}
-    return [*gate.words(plan.links, link_of), *([gate.problem] if gate.problem else [])]
+    at = zip(plan.link_of_vehicle, plan.sysids, strict=True)
+    id_of = {where: vehicle.id for where, vehicle in zip(at, plan.spec.vehicles, strict=True)}
+    return [*gate.words(plan.links, id_of), *([gate.problem] if gate.problem else [])]
 
 
 def check_method(plan: MissionPlan) -> None:

@@ -59,16 +59,16 @@ def give_key(out: Output, plan: MissionPlan, seconds: float, *, in_the_clear: bo
         )
     table = Table("vehicle", "state")
     for vehicle in setup.vehicles:
-        table.add_row(str(vehicle.sysid), vehicle.state)
+        table.add_row(str(vehicle.id), vehicle.state)
     out.console.print(table)
     out.result(
         {
             "mission": plan.spec.name,
-            "vehicles": [{"id": item.sysid, "signs": item.signs, "state": item.state} for item in setup.vehicles],
+            "vehicles": [{"id": item.id, "signs": item.signs, "state": item.state} for item in setup.vehicles],
         }
     )
     if not setup.done:
-        late = ", ".join(str(vehicle.sysid) for vehicle in setup.vehicles if not vehicle.signs)
+        late = ", ".join(str(vehicle.id) for vehicle in setup.vehicles if not vehicle.signs)
         raise MissionFailed(f"vehicles without the key after {seconds:g} s: {late}")
 
 

@@ -30,7 +30,8 @@ class VehicleSetup:
     """How far one vehicle is.
 
     Attributes:
-        sysid: its system id.
+        id: by which the mission names it.
+        sysid: its system id on its link.
         link: index of its link.
         signing: its key in use.
         peer: where its heartbeats come from; None before.
@@ -39,6 +40,7 @@ class VehicleSetup:
         signs: it signs with the key.
     """
 
+    id: int
     sysid: int
     link: int
     signing: Signing
@@ -75,8 +77,8 @@ class KeySetup:
         self._next_ns = 0
         signings = [None if key is None else Signing(key) for key in keys]
         self.vehicles = [
-            VehicleSetup(vehicle.id, link, signing)
-            for vehicle, link in zip(plan.spec.vehicles, plan.link_of_vehicle, strict=True)
+            VehicleSetup(vehicle.id, sysid, link, signing)
+            for vehicle, sysid, link in zip(plan.spec.vehicles, plan.sysids, plan.link_of_vehicle, strict=True)
             if (signing := signings[link]) is not None
         ]
 

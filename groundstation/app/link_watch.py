@@ -33,7 +33,7 @@ class LinkWatch:
         self.now_ns = now_ns
         runner = session.runner
         if runner.airborne.any():
-            self._ids = runner.fleet.sysid.tolist()
+            self._ids = runner.fleet.ids.tolist()
             self.heard = np.fmin(self.heard, runner.fleet.link_heard)
             self.trip_s = np.fmax(self.trip_s, runner.fleet.link_trip_s)
 

@@ -37,7 +37,7 @@ class Log:
     @property
     def vehicles(self) -> list[int]:
         """System ids, in the order of the columns of arrays."""
-        return [track.sysid for track in self.flight.vehicles]
+        return [track.id for track in self.flight.vehicles]
 
     @property
     def result(self) -> Values:

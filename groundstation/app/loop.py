@@ -179,7 +179,7 @@ def fly_virtual(
         UserError: the team would wait for an order that nobody can give.
     """
     fleet = session.runner.fleet
-    peers, links = [f"emulator:{sysid}" for sysid in fleet.sysid], fleet.link.tolist()
+    peers, links = [f"emulator:{sysid}" for sysid in fleet.ids], fleet.link.tolist()
     vehicle_of_peer = {peer: vehicle for vehicle, peer in enumerate(peers)}
     if fleet.room is not None:  # one more, who speaks of all of them
         peers.append("emulator:room")

@@ -89,20 +89,20 @@ def _about(flight: Flight) -> dict[str, object]:
 
 
 def _of_vehicle(flight: Flight, track: VehicleTrack) -> Iterator[Message]:
-    frame = TEAM if track.in_team_frame else f"origin_{track.sysid}"
+    frame = TEAM if track.in_team_frame else f"origin_{track.id}"
     turned = [enu_from_flu(quat) for quat in quat_ned_from_frd_of_euler(*track.rpy_ned_rad.T)]
     last = np.searchsorted(track.attitude_t_ns, track.t_ns, side="right") - 1
     for row, (t_ns, pos) in enumerate(zip(track.t_ns.tolist(), track.pos_team_enu_m, strict=True)):
         if np.isfinite(pos).all():
             quat = _LEVEL if last[row] < 0 else turned[last[row]]
-            yield from pose_messages(t_ns - flight.start_ns, track.sysid, frame, pos, quat)
+            yield from pose_messages(t_ns - flight.start_ns, track.id, frame, pos, quat)
     for what, times_ns, values in (
         ("velocity", track.t_ns, track.vel_enu_m_s),
         ("setpoint", track.setpoint_t_ns, track.setpoint_vel_enu_m_s),
     ):
         for t_ns, velocity in zip(times_ns.tolist(), values, strict=True):
             if np.isfinite(velocity).all():
-                yield velocity_message(t_ns - flight.start_ns, track.sysid, what, velocity)
+                yield velocity_message(t_ns - flight.start_ns, track.id, what, velocity)
 
 
 def _of_team(table: dict[str, Cells]) -> Iterator[Message]:

@@ -53,26 +53,30 @@ class ParamTalk(TeamTalk[_Vehicle]):
 
     Args:
         plan: vehicles and links.
-        wanted: what to set, by system id and name; nothing where None.
-        names: which to read, by system id; all of them where None.
+        wanted: what to set, by vehicle and name; nothing where None.
+        names: which to read, by vehicle; all of them where None.
     """
 
     def __init__(
         self, plan: MissionPlan, *, wanted: Team | None = None, names: Mapping[int, list[str]] | None = None
     ) -> None:
-        vehicles = zip(plan.spec.vehicles, plan.link_of_vehicle, plan.autopilots, strict=True)
+        vehicles = zip(plan.spec.vehicles, plan.sysids, plan.link_of_vehicle, plan.autopilots, strict=True)
         super().__init__(
-            plan, [_Vehicle(item.id, link, bytewise=autopilot.params_bytewise) for item, link, autopilot in vehicles]
+            plan,
+            [
+                _Vehicle(item.id, sysid, link, bytewise=autopilot.params_bytewise)
+                for item, sysid, link, autopilot in vehicles
+            ],
         )
         self._desk = ParamDesk(len(self._vehicles))
         self._wanted = wanted
         self._listing = names is None and wanted is None
         self._names = {
-            item.sysid: list((wanted or {}).get(item.sysid, {}) if names is None else names.get(item.sysid, []))
+            item.id: list((wanted or {}).get(item.id, {}) if names is None else names.get(item.id, []))
             for item in self._vehicles
         }
         for number, item in enumerate(self._vehicles):
-            for name in self._names[item.sysid] if not self._listing else ():
+            for name in self._names[item.id] if not self._listing else ():
                 self._desk.read(number, name)
 
     # What comes in
@@ -127,7 +131,7 @@ class ParamTalk(TeamTalk[_Vehicle]):
 
     def _write(self, number: int, item: _Vehicle) -> None:
         """Sets what differs, in the type that the vehicle has told."""
-        for name, param in (self._wanted or {}).get(item.sysid, {}).items():
+        for name, param in (self._wanted or {}).get(item.id, {}).items():
             told = item.told.get(name)
             if told is None or told.same(param):
                 continue
@@ -151,7 +155,7 @@ class ParamTalk(TeamTalk[_Vehicle]):
         return bool(item.count) and len(item.named) >= item.count
 
     def _read(self, number: int) -> bool:
-        names = self._names[self._vehicles[number].sysid]
+        names = self._names[self._vehicles[number].id]
         return all(self._desk.state(number, name) is not ParamState.ASKED for name in names)
 
     @property
@@ -160,13 +164,13 @@ class ParamTalk(TeamTalk[_Vehicle]):
         if self._listing:
             return all(self._listed(item) for item in self._vehicles)
         return all(
-            self._read(number) and (self._wanted is None or item.written or item.armed or not self._names[item.sysid])
+            self._read(number) and (self._wanted is None or item.written or item.armed or not self._names[item.id])
             for number, item in enumerate(self._vehicles)
         )
 
     def team(self) -> Team:
-        """What was told, by system id and name."""
-        return {item.sysid: dict(item.told) for item in self._vehicles if item.told}
+        """What was told, by vehicle and name."""
+        return {item.id: dict(item.told) for item in self._vehicles if item.told}
 
     def changed(self) -> dict[int, dict[str, tuple[Param, Param]]]:
         """What was set: value of before and value now, as read back."""
@@ -174,14 +178,14 @@ class ParamTalk(TeamTalk[_Vehicle]):
         for item in self._vehicles:
             for name, before in item.kept.items():
                 if not item.told[name].same(before):
-                    found.setdefault(item.sysid, {})[name] = before, item.told[name]
+                    found.setdefault(item.id, {})[name] = before, item.told[name]
         return found
 
     def troubles(self) -> list[str]:
         """What could not be read or set, a line each."""
         lines = []
         for number, item in enumerate(self._vehicles):
-            name = f"vehicle {item.sysid}"
+            name = f"vehicle {item.id}"
             if not item.peer:
                 lines.append(f"{name}: was not heard; is it switched on, and its link right?")
             elif self._listing and not self._listed(item):
@@ -192,11 +196,11 @@ class ParamTalk(TeamTalk[_Vehicle]):
                 continue
             lines += [f"{name}: does not know {wanted}" for wanted in self._unknown(number)]
             for kept in item.kept:
-                wanted = (self._wanted or {})[item.sysid][kept]
+                wanted = (self._wanted or {})[item.id][kept]
                 if item.peer and not item.told[kept].same(wanted):
                     lines.append(f"{name}: keeps {kept} at {item.told[kept].text()}, told was {wanted.text()}")
         return lines
 
     def _unknown(self, number: int) -> list[str]:
         item = self._vehicles[number]
-        return [name for name in self._names[item.sysid] if item.peer and name not in item.told]
+        return [name for name in self._names[item.id] if item.peer and name not in item.told]

@@ -245,7 +245,7 @@ def _draw_trajectories(figure: Figure, flight: Flight) -> None:
         if np.all(np.isfinite(end)):
             axes.plot(*end[:, None], "o", ms=15, mfc=colour, mec="white", mew=1.5, zorder=8, clip_on=False)
             axes.text(
-                *end, str(track.sysid), color="white", fontsize=10, weight="bold", ha="center", va="center", zorder=9
+                *end, str(track.id), color="white", fontsize=10, weight="bold", ha="center", va="center", zorder=9
             )
     _draw_graph(axes, flight, final, int(final_t[0]) if len(final_t) else instant)
     _title(figure, f"{flight.name}: trajectories, and the team {words}")
@@ -385,7 +385,7 @@ def _draw_setpoints(figure: Figure, flight: Flight) -> None:
         axes.set_ylabel(f"{direction} in m/s")
         _finish_time_axis(axes, flight, label=axis == 2, names=axis == 0)
     _title(figure, f"{flight.name}: velocity setpoints")
-    _legend(figure, [(colour, str(track.sysid)) for track, colour in zip(flight.vehicles, colours, strict=True)][:12],
+    _legend(figure, [(colour, str(track.id)) for track, colour in zip(flight.vehicles, colours, strict=True)][:12],
             title="vehicle" if len(flight.vehicles) <= 12 else f"vehicle (12 of {len(flight.vehicles)})")  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,20 +58,29 @@ def _phases(flight: Flight) -> list[Row]:
 
 def _links(flight: Flight, log: Path) -> list[Row]:
     """Gaps in the numbers that MAVLink counts frames with are lost frames, or what a router left out on purpose."""
-    times: dict[int, list[int]] = {track.sysid: [] for track in flight.vehicles}
-    loss = LinkLoss()
+    shared = len({track.sysid for track in flight.vehicles}) < len(flight.vehicles)
+    times: dict[tuple[int, int], list[int]] = {
+        (track.link if shared else 0, track.sysid): [] for track in flight.vehicles
+    }
+    losses = defaultdict[int, LinkLoss](LinkLoss)
     for record in read_tlog(log, None if flight.manifest is None else flight.manifest.epoch_unix_us):
-        if isinstance(record, Received) and record.frame.compid == AUTOPILOT_COMPID and record.frame.sysid in times:
-            times[record.frame.sysid].append(record.t_ns)
-            loss.take(record.frame.raw)
-    shares = loss.take_shares(list(times))
+        if not isinstance(record, Received) or record.frame.compid != AUTOPILOT_COMPID:
+            continue
+        link = record.link if shared else 0
+        heard_ns = times.get((link, record.frame.sysid))
+        if heard_ns is not None:
+            heard_ns.append(record.t_ns)
+            losses[link].take(record.frame.raw)
+    every = range(256)
+    share_of = {link: loss.take_shares(every) for link, loss in losses.items()}
+    shares = [float(share_of[link][sysid]) if link in share_of else np.nan for link, sysid in times]
     rows: list[Row] = [("vehicle", "frames received", "lost", "frames a second", "longest silence", "setpoints sent")]
-    for track, share in zip(flight.vehicles, shares.tolist(), strict=True):
-        heard: IntArray = np.array(times[track.sysid], dtype=np.int64)
+    for track, heard_at, share in zip(flight.vehicles, times.values(), shares, strict=True):
+        heard: IntArray = np.array(heard_at, dtype=np.int64)
         lasts_s = (heard[-1] - heard[0]) / 1e9 if len(heard) > 1 else 0.0
         rows.append(
             (
-                str(track.sysid),
+                str(track.id),
                 str(len(heard)),
                 f"{100.0 * share:.2f} %" if np.isfinite(share) else "-",
                 f"{(len(heard) - 1) / lasts_s:.1f}" if lasts_s > 0.0 else "-",

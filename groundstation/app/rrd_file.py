@@ -63,7 +63,7 @@ class _Pages:
 
     def vehicle(self, track: VehicleTrack) -> None:
         """One vehicle: where it is, how it lies, and what it was told."""
-        entity = f"team/v{track.sysid}" if track.in_team_frame else f"own_frames/v{track.sysid}"
+        entity = f"team/v{track.id}" if track.in_team_frame else f"own_frames/v{track.id}"
         known = np.all(np.isfinite(track.pos_team_enu_m), axis=1)
         level = np.array([1.0, 0.0, 0.0, 0.0])
         turned = [enu_from_flu(quat) for quat in quat_ned_from_frd_of_euler(*track.rpy_ned_rad.T)]
@@ -78,7 +78,7 @@ class _Pages:
             ),
         )
         size = [[2.0 * _SIZE_M, _SIZE_M, 0.4 * _SIZE_M]]
-        body = rr.Boxes3D(half_sizes=size, labels=[str(track.sysid)])
+        body = rr.Boxes3D(half_sizes=size, labels=[str(track.id)])
         rr.log(entity, body, static=True, recording=self._recording)
         for what, t_ns, values in (
             ("velocity", track.t_ns, track.vel_enu_m_s),
@@ -86,7 +86,7 @@ class _Pages:
         ):
             there = np.all(np.isfinite(values), axis=1)
             for axis, name in enumerate("xyz"):
-                path = f"figures/v{track.sysid}/{what}_{name}_enu_m_s"
+                path = f"figures/v{track.id}/{what}_{name}_enu_m_s"
                 self._send(path, self._seconds(t_ns[there]), rr.Scalars.columns(scalars=values[there, axis]))
 
     def figures(self, entity: str, t_s: FloatArray, cells: Cells) -> None:

@@ -118,7 +118,7 @@ class Session:
         Raises:
             ValueError: it is none, in words for people; nothing happens and nothing is recorded.
         """
-        text = parse_command(command, self.runner.fleet.sysid.tolist()).text
+        text = parse_command(command, self.runner.fleet.ids.tolist()).text
         self.settle()
         if self._log is not None:
             self._log.operator(text, now_ns)
@@ -145,7 +145,7 @@ class Session:
             greetings = self.gate.greetings(now_ns)  # not the runner's, and not in the log: they steer nothing
         notes = self.runner.take_notes()
         if self._log is not None:
-            self._log.sent_all([frame for datagram in outgoing for frame in datagram.frames], now_ns)
+            self._log.sent_datagrams(outgoing, now_ns)
             for note in notes:
                 if note.kind == "roles":
                     self._log.roles(note.roles, now_ns)

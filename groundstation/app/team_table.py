@@ -112,7 +112,7 @@ def team_table(session: Session, look: Look, alarms: LastAlarms, now_ns: int, li
             does = "stands, armed"
         mode = int(fleet.custom_mode[row])
         table.add_row(
-            str(fleet.sysid[row]),
+            str(fleet.ids[row]),
             Text(does, style),
             plan.autopilots[row].mode_name(mode) if mode != UNKNOWN else "-",
             _number(height_m[row], "m"),

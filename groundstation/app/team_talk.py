@@ -30,12 +30,14 @@ class TalkedTo:
     """One vehicle of a talk.
 
     Attributes:
-        sysid: its system id.
+        id: by which the mission names it.
+        sysid: its system id on its link.
         link: index of its link.
         peer: where its first heartbeat came from; empty before.
         armed: as it said last; None before it said anything.
     """
 
+    id: int
     sysid: int
     link: int
     peer: str = ""

@@ -6,6 +6,9 @@ assignment; the two are alternated from evenly spread headings until nothing cha
 alternation ends in a local optimum, so the headings in between are then bounded, and halved where the bound leaves
 room for something better: the answer is the best there is, to a millionth (branch and bound). Deterministic.
 
+An optimal assignment takes 10 ms for 343 agents and 300 ms for 1,000: above ``PROVEN_MAX`` agents fewer headings are
+tried, and the best end of these is the answer.
+
 Only before a formation is formed does anybody know all positions; in flight agents act on their views alone.
 """
 
@@ -26,6 +29,12 @@ _GAP = 1e-6
 
 _MOST_HALVED = 400
 """Intervals halved at most: where many headings are equally good, as with a ring, there is nothing more to find."""
+
+
+PROVEN_MAX = 128
+"""Agents up to which the answer is proven to be the best."""
+
+_STARTS_MIN = 4
 
 
 @dataclass(frozen=True)
@@ -62,7 +71,7 @@ def assign_roles(pos_team_enu_m: FloatArray, formation: Formation, yaw_starts: i
     Args:
         pos_team_enu_m: where the vehicles are, shape (n, 3), ENU (z up, as the formation's points).
         formation: n points.
-        yaw_starts: headings tried, >= 1.
+        yaw_starts: headings tried, >= 1; of more agents than ``PROVEN_MAX`` fewer, four at least.
 
     Returns:
         The best assignment found; for equal costs the one found first.
@@ -74,9 +83,13 @@ def assign_roles(pos_team_enu_m: FloatArray, formation: Formation, yaw_starts: i
     if yaw_starts < 1:
         raise ValueError(f"assignment: {yaw_starts} headings to start from, must be at least 1")
     search = _Search(pos, points)
+    large = formation.size > PROVEN_MAX
+    if large:
+        yaw_starts = min(yaw_starts, max(_STARTS_MIN, yaw_starts * PROVEN_MAX // formation.size))
     yaws = [2.0 * np.pi * start / yaw_starts for start in range(yaw_starts)]
     values = [search.alternate(yaw) for yaw in yaws]
-    search.close_gaps([*yaws, 2.0 * np.pi], [*values, values[0]])
+    if not large:
+        search.close_gaps([*yaws, 2.0 * np.pi], [*values, values[0]])
     return _assignment(search.roles, search.yaw_rad, search.cost_m2, pos_mean, points_mean)
 
 

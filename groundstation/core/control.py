@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.types import BoolArray, ComplexArray, FloatArray, IntArray
 from groundstation.core.views import LocalViews
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 ScaleKind = Literal["arctan", "tanh", "free"]
 
@@ -242,8 +245,25 @@ def saturate(vel_m_s: FloatArray, speed_max_m_s: float) -> FloatArray:
     return vel_m_s * (speed_max_m_s / np.maximum(speed, speed_max_m_s))[..., None]
 
 
+_DENSE_MAX = 128
+"""Agents up to which all eigenvalues are worked out where the largest is wanted; of more, that one alone (Lanczos)."""
+
+
+def _largest(matrix: scipy.sparse.csr_array[np.float64] | scipy.sparse.csr_array[np.complex128]) -> float:
+    """Largest magnitude of an eigenvalue of a Hermitian matrix; the same call gives the same bits."""
+    import scipy.sparse.linalg  # noqa: PLC0415 - takes a while to load, and small teams do without
+
+    first = np.random.default_rng(0).normal(size=matrix.shape[0])
+    found = scipy.sparse.linalg.eigsh(matrix, 1, v0=first, return_eigenvectors=False)
+    return float(np.abs(found[0]))
+
+
 def largest_rate_1_s(gains: Gains) -> float:
     """The fastest mode of the gains: the largest magnitude of an eigenvalue of A, 1/s (10 as designed)."""
+    if len(gains.z) > _DENSE_MAX:
+        import scipy.sparse  # noqa: PLC0415 - as above
+
+        return max(_largest(scipy.sparse.csr_array(gains.xy)), _largest(scipy.sparse.csr_array(gains.z)))
     return float(max(np.abs(np.linalg.eigvalsh(gains.xy)).max(), np.abs(np.linalg.eigvalsh(gains.z)).max()))
 
 
@@ -254,6 +274,8 @@ def stiffest_rate_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, 
     rings16, 157 for a complete graph of 27. Arguments as in `formation_control`, by role.
     """
     n, points, edges = formation.size, formation.points_enu_m, formation.edges
+    if n > _DENSE_MAX:
+        return _largest(_closed_loop(formation, gains, scale, upright_1_s))
     matrix = np.zeros((3, n, 3, n))  # axis, agent, axis, agent
     matrix[0, :, 0], matrix[1, :, 1], matrix[2, :, 2] = gains.xy.real, gains.xy.real, gains.z
     matrix[0, :, 1], matrix[1, :, 0] = -gains.xy.imag, gains.xy.imag
@@ -266,6 +288,43 @@ def stiffest_rate_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, 
             matrix[:, a, :, b] += block
             matrix[:, a, :, a] -= block
     return float(np.abs(np.linalg.eigvalsh(matrix.reshape(3 * n, 3 * n))).max())
+
+
+def _closed_loop(
+    formation: Formation, gains: Gains, scale: ScaleFunction, upright_1_s: float
+) -> scipy.sparse.csr_array[np.float64]:
+    """The matrix of `stiffest_rate_1_s` by its entries, shape (3 n, 3 n), for a large team."""
+    import scipy.sparse  # noqa: PLC0415 - as above
+
+    n, points = formation.size, formation.points_enu_m
+    first, second = np.array(formation.edges, dtype=np.int64).reshape(-1, 2).T
+    away = points[second] - points[first]
+    slope = 0.0 if scale.kind == "free" else scale.gain
+    blocks = slope * away[:, :, None] * away[:, None, :] / np.linalg.norm(away, axis=1)[:, None, None]
+    blocks[:, 2, 2] += upright_1_s
+    rows: list[IntArray] = []
+    columns: list[IntArray] = []
+    values: list[FloatArray] = []
+
+    def add(axis: int, row: IntArray, other: int, column: IntArray, value: FloatArray) -> None:
+        rows.append(axis * n + row)
+        columns.append(other * n + column)
+        values.append(value)
+
+    for axis in range(3):
+        for other in range(3):
+            value = blocks[:, axis, other]
+            for a, b in ((first, second), (second, first)):
+                add(axis, a, other, b, value)
+                add(axis, a, other, a, -value)
+    row, column = gains.xy.nonzero()
+    xy = gains.xy[row, column]
+    for axis, other, value in ((0, 0, xy.real), (1, 1, xy.real), (0, 1, -xy.imag), (1, 0, xy.imag)):
+        add(axis, row, other, column, value)
+    row, column = gains.z.nonzero()
+    add(2, row, 2, column, gains.z[row, column])
+    where = np.concatenate(rows), np.concatenate(columns)
+    return scipy.sparse.coo_array((np.concatenate(values), where), shape=(3 * n, 3 * n)).tocsr()
 
 
 def rate_for_auto_gain_1_s(formation: Formation, gains: Gains, scale: ScaleFunction, upright_1_s: float = 0.0) -> float:

@@ -29,6 +29,7 @@ from groundstation.design.certify import (
 from groundstation.design.closed_form import solve_complete
 from groundstation.design.diagnosis import findings
 from groundstation.design.interior_point import InteriorPoint, solve_interior_point
+from groundstation.design.mesh import solve_triangles
 from groundstation.design.problem import (
     SPECTRAL_NORM,
     Block,
@@ -80,6 +81,7 @@ METHODS: dict[str, Solver] = {
     "splitting": solve_splitting,
     "clarabel": solve_clarabel,
     "cvxpy": _solve_cvxpy,
+    "triangles": solve_triangles,
 }
 
 

@@ -10,7 +10,7 @@ vertical line has no horizontal direction, and so on. A matrix design that ignor
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from typing import Any, Literal
@@ -50,6 +50,7 @@ class Block:
         kernel: orthonormal basis of span{1, coordinate}, shape (n, r), r = 1 when all agents agree in the coordinate.
         edges: pairs i < j, shape (m, 2), counted from 0.
         adjacency: shape (n, n).
+        heights: of the agents, in the same unit as the coordinate, shape (n,); None where nobody asks.
     """
 
     name: BlockName
@@ -57,6 +58,7 @@ class Block:
     kernel: Matrix
     edges: IntArray
     adjacency: BoolArray
+    heights: FloatArray | None = None
 
     @property
     def size(self) -> int:
@@ -194,7 +196,7 @@ def split(formation: Formation) -> tuple[Block, Block]:
     vertical = centred[:, 2] / size
     floor = max(FLAT_TOLERANCE, noise / size)
     return (
-        _block("xy", horizontal, edges, adjacency, floor),
+        replace(_block("xy", horizontal, edges, adjacency, floor), heights=vertical),
         _block("z", vertical, edges, adjacency, floor),
     )
 

@@ -146,17 +146,17 @@ class Gate:
         behind, self._behind = self._behind, {}
         return self.sign([Outgoing(link, peer, (hello,)) for link, peer in behind], now_ns)
 
-    def words(self, links: Sequence[str], link_of: Mapping[int, int]) -> list[str]:
+    def words(self, links: Sequence[str], id_of: Mapping[tuple[int, int], int]) -> list[str]:
         """What was refused, a line for each sender and reason, worst first.
 
         Args:
             links: names of the links.
-            link_of: link by system id of the mission's vehicles; the others are strangers.
+            id_of: the mission's vehicles by link and system id; the others are strangers.
         """
         lines = []
         for (link, sysid, verdict), count in sorted(self.counts.items(), key=lambda item: (-item[1], item[0])):
-            ours = link_of.get(sysid) == link
-            name = f"vehicle {sysid}" if ours else f"system {sysid} on {links[link]}"
+            ours = (link, sysid) in id_of
+            name = f"vehicle {id_of[link, sysid]}" if ours else f"system {sysid} on {links[link]}"
             frames = "1 frame" if count == 1 else f"{count} frames"
             taken = self.accepted[link, sysid]
             line = f"{name}: {frames} {verdict.words} ignored"

@@ -113,8 +113,9 @@ class Fleet:
     """State of n vehicles as their telemetry tells it.
 
     Attributes:
-        sysid: MAVLink system ids, shape (n,).
-        link: index of the link each vehicle is expected on, shape (n,).
+        ids: by which the team and its messages name the vehicles, shape (n,).
+        sysid: MAVLink system ids on their links, shape (n,); the same one may stand on two links.
+        link: index of the link each vehicle is expected on, shape (n,); changed by ``expect_on`` alone.
         peer: address that each vehicle was last heard from on its link; None before.
         heard_ns: arrival of the last frame of any kind, shape (n,).
         heartbeat_ns: arrival of the last HEARTBEAT, shape (n,).
@@ -172,9 +173,24 @@ class Fleet:
         watch_room: the same as ``watch`` for those; None for nobody.
     """
 
-    def __init__(self, sysids: Sequence[int], links: Sequence[int], room: RoomConfig | None = None) -> None:
+    def __init__(
+        self,
+        sysids: Sequence[int],
+        links: Sequence[int],
+        room: RoomConfig | None = None,
+        ids: Sequence[int] | None = None,
+    ) -> None:
+        """Knows nothing yet of n vehicles.
+
+        Args:
+            sysids: MAVLink system ids, each once on its link.
+            links: index of each vehicle's link, -1 where it is not known yet.
+            room: of a motion capture system.
+            ids: by which the team names them; their system ids when None.
+        """
         n = len(sysids)
         self.sysid: IntArray = np.array(sysids, dtype=np.int64)
+        self.ids: IntArray = self.sysid.copy() if ids is None else np.array(ids, dtype=np.int64)
         self.link: IntArray = np.array(links, dtype=np.int64)
         self.peer: list[str | None] = [None] * n
         self.heard_ns = _times(n)
@@ -224,9 +240,8 @@ class Fleet:
         self.room = None if room is None else Room(room)
         self.watch_room: Callable[[Seen], None] | None = None
         self._own_velocity_ns = _times(n)
-        self._row_of = {int(sysid): row for row, sysid in enumerate(sysids)}
-        self._row_table: IntArray = np.full(256, -1, dtype=np.int64)
-        self._row_table[self.sysid] = np.arange(n)
+        self._row_of_id = {int(own): row for row, own in enumerate(self.ids)}
+        self._index()
         self._source_of_row: IntArray = np.full(n, -1, dtype=np.int64)
         self._source_seen: tuple[tuple[tuple[int, str], ...], list[str | None]] = ((), [])
         self._acks: list[Ack] = []
@@ -248,6 +263,20 @@ class Fleet:
         """Number of vehicles, n."""
         return len(self.sysid)
 
+    def _index(self) -> None:
+        """Who is behind a link and a system id: row 0 of the table is for links that nobody is expected on."""
+        self._row_of = {at: row for row, at in enumerate(zip(self.link.tolist(), self.sysid.tolist(), strict=True))}
+        self._row_table: IntArray = np.full((int(self.link.max(initial=0)) + 2, 256), -1, dtype=np.int64)
+        self._row_table[self.link + 1, self.sysid] = np.arange(len(self))
+        self._row_table[0] = -1
+        self._is_known: BoolArray = np.zeros(256, dtype=np.bool_)
+        self._is_known[self.sysid] = True
+
+    def expect_on(self, vehicle: int, link: int) -> None:
+        """From now on a vehicle is expected on another link."""
+        self.link[vehicle] = link
+        self._index()
+
     def expect_disarm(self, vehicle: int) -> None:
         """Its motors are told to stop: a heartbeat that says disarmed is believed, whatever else the vehicle says."""
         self.disarm_expected[vehicle] = True
@@ -267,19 +296,19 @@ class Fleet:
         accepted: list[ReceivedFrame] = []
         rows: list[int] = []
         for item in received:
-            row = self._row_of.get(item.frame.sysid)
+            row = self._row_of.get((item.link, item.frame.sysid))
             if message_name(item.frame.msgid) is None:  # its checksum cannot be known: it may be noise
                 self.counts["unknown message"] += 1
-            elif row is None:
+            elif not self._is_known[item.frame.sysid]:
                 self.counts["unknown system"] += 1
                 if item.frame.compid == AUTOPILOT_COMPID and len(self._elsewhere) < _ELSEWHERE_MAX:
                     self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
             elif item.frame.compid != AUTOPILOT_COMPID:
                 self.counts["other component"] += 1
                 kind = kind_of(item.frame)
-                if kind is not None and kind.is_autopilot and item.link == self.link[row]:
+                if kind is not None and kind.is_autopilot and row is not None:
                     self.senders.other_component(row, item.frame.compid, item.t_rx_ns)
-            elif item.link != self.link[row]:
+            elif row is None:
                 self.counts["wrong link"] += 1
                 self._elsewhere[item.frame.sysid, item.link] = item.t_rx_ns
             elif not self._is_of_its_kind(row, item):
@@ -300,21 +329,21 @@ class Fleet:
         if self.room is not None:
             self.ingest(received_frames(block))
             return
-        row = self._row_table[block.sysid]
+        row, system = self._rows(block)
         known, autopilot = block.known, block.compid == AUTOPILOT_COMPID
         right: BoolArray = known & (row >= 0) & autopilot
         right &= block.datagrams.source[block.datagram] == self._sources(block)[row]
         among = None
-        system = known & (row >= 0)
+        system = known & system
         # A vehicle from elsewhere, or a heartbeat of another kind: who it is, is judged one by one.
         if not every(right[system & autopilot]) or not self._heartbeats_as_ever(block, row):
             self.ingest(received_frames(block))
             return
         if not every(right):
             self._count("unknown message", int((~known).sum()))
-            self._count("unknown system", int((known & (row < 0)).sum()))
+            self._count("unknown system", int((known & ~system).sum()))
             self._count("other component", int((system & ~autopilot).sum()))
-            strangers = known & (row < 0) & autopilot
+            strangers = known & ~system & autopilot
             where = block.datagram[strangers]
             links, times = block.datagrams.link[where].tolist(), block.datagrams.t_rx_ns[where].tolist()
             for sysid, link, t_ns in zip(block.sysid[strangers].tolist(), links, times, strict=True):
@@ -326,6 +355,12 @@ class Fleet:
         time_of_frame = block.datagrams.t_rx_ns[block.datagram]
         self.heard_ns[row if among is None else row[among]] = time_of_frame if among is None else time_of_frame[among]
         self._handle(block.decode(_HANDLED_IDS, among), row, time_of_frame)
+
+    def _rows(self, block: Block) -> tuple[IntArray, BoolArray]:
+        """Vehicle that each frame's link and system id stand for, -1 for none, and whose id is any vehicle's."""
+        where, table = block.datagrams, self._row_table
+        place = np.where((where.link >= 0) & (where.link < len(table) - 1), where.link + 1, 0)[block.datagram]
+        return table[place, block.sysid], self._is_known[block.sysid]
 
     def _without_the_room(self, room: Room, received: Sequence[ReceivedFrame]) -> list[ReceivedFrame]:
         """Takes what the motion capture tells; returns the rest."""
@@ -339,7 +374,7 @@ class Fleet:
         self._count("motion capture: frames of a second sender", len(told) - len(here))
         for text in room_words(here):
             room.say(text)
-        for frame in room_frames(here, self._row_of):
+        for frame in room_frames(here, self._row_of_id):
             seen = room.take(frame)
             if seen is not None:
                 self._see(seen)
@@ -442,7 +477,7 @@ class Fleet:
         """Tells of a second vehicle that speaks under this one's system id; None when there is none."""
         rival = self._rivals[vehicle]
         if rival is not None and now_ns - rival[1] < _RIVAL_NS:
-            return f"two vehicles say that they are {self.sysid[vehicle]}, at {self.peer[vehicle]} and {rival[0]}"
+            return f"two vehicles say that they are {self.ids[vehicle]}, at {self.peer[vehicle]} and {rival[0]}"
         return self.twin_behind_one_address(vehicle, now_ns)
 
     def twin_behind_one_address(self, vehicle: int, now_ns: int) -> str | None:
@@ -451,11 +486,11 @@ class Fleet:
             return None
         alternating = self.senders.alternating(vehicle, now_ns)
         if alternating is not None:
-            return f"two senders say that they are {self.sysid[vehicle]}, both at {self.peer[vehicle]}: {alternating}"
+            return f"two senders say that they are {self.ids[vehicle]}, both at {self.peer[vehicle]}: {alternating}"
         times = (self._position_times, self._place_times, self._attitude_times)
         if any(item.two_at_once(vehicle, now_ns) for item in times):
             return (
-                f"two vehicles say that they are {self.sysid[vehicle]}, both at {self.peer[vehicle]}: their times"
+                f"two vehicles say that they are {self.ids[vehicle]}, both at {self.peer[vehicle]}: their times"
                 " since start-up alternate"
             )
         return None

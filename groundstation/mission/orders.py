@@ -42,7 +42,7 @@ class Orders:
         team, machine = self._team, self._machine
         note = team.verdict.note
         try:
-            command = parse_command(line, team.fleet.sysid.tolist())
+            command = parse_command(line, team.fleet.ids.tolist())
         except ValueError as error:
             note("alarm", str(error))
             return
@@ -134,4 +134,4 @@ class Orders:
             self._machine.drop_out(reason, now_ns)
 
     def _names(self, vehicles: list[int] | tuple[int, ...]) -> str:
-        return vehicle_list(self._team.fleet.sysid[list(vehicles)].tolist())
+        return vehicle_list(self._team.fleet.ids[list(vehicles)].tolist())

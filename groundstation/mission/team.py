@@ -69,7 +69,8 @@ class Team:
     def __init__(self, plan: MissionPlan, start_ns: int, purpose: Purpose = Purpose.FLY) -> None:
         self.plan = plan
         self.verdict, self.words = Verdict(), Words()
-        fleet = Fleet([vehicle.id for vehicle in plan.spec.vehicles], plan.link_of_vehicle, plan.room())
+        ids = [vehicle.id for vehicle in plan.spec.vehicles]
+        fleet = Fleet(plan.sysids, plan.link_of_vehicle, plan.room(), ids)
         greeted = [(link, address.peer) for link, address in enumerate(plan.addresses) if address.peer]
         behind = [row for row, autopilot in enumerate(plan.autopilots) if autopilot.behind_a_gateway]
         self.station = Station(fleet, start_ns, greeted=greeted, behind_a_gateway=behind)
@@ -156,7 +157,7 @@ class Team:
 
     def name(self, vehicle: int) -> str:
         """``vehicle 3``."""
-        return f"vehicle {self.fleet.sysid[vehicle]}"
+        return f"vehicle {self.fleet.ids[vehicle]}"
 
     def forget_commands(self) -> None:
         """What was asked and is not answered yet is not asked again, but of those whose motors are to stop."""

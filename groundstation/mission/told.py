@@ -140,7 +140,7 @@ class Told:
     def parameters_before(self) -> dict[int, dict[str, tuple[float, int]]]:
         """Value and MAV_PARAM_TYPE of parameters that were set, as they were before, by system id and name."""
         before = self._team.preflight.checks.parameters_before
-        return {sysid: dict(of) for sysid, of in zip(self.fleet.sysid.tolist(), before, strict=True) if of}
+        return {sysid: dict(of) for sysid, of in zip(self.fleet.ids.tolist(), before, strict=True) if of}
 
     def take_notes(self) -> list[Note]:
         """Hands out what happened since the last call."""

@@ -15,11 +15,12 @@ import numpy as np
 from groundstation.core.quick import norms
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.addresses import mavlink_url
+from groundstation.mavlink.blocks import Block
 from groundstation.mavlink.codec import Batch, columns
-from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, Fleet, ReceivedFrame, received_frames
 from groundstation.mocap.bodies import RoomConfig, room_config
 from groundstation.mocap.room import Seen
-from groundstation.records.manifest import Values
+from groundstation.records.manifest import Values, system_ids
 from groundstation.records.notes import PHASE_PREFIX, Event, Received
 
 _BEFORE_FLIGHT = frozenset({"connect", "take-over"})  # vehicles may start anew, and frames begin wherever they like
@@ -117,8 +118,9 @@ class Admission:
         self._fleet = Fleet(sysids, [-1 if link is None else link for link in links], room)
         self._fleet.watch, self._fleet.watch_room = self._look, self._look_into_room
         self._room_link = None if room is None else room.link
-        self._row_of = {sysid: row for row, sysid in enumerate(sysids)}
-        self._unlinked = {sysid for sysid, link in zip(sysids, links, strict=True) if link is None}
+        self._known = frozenset(sysids)
+        numbered = enumerate(zip(sysids, links, strict=True))
+        self._unlinked = {sysid: row for row, (sysid, link) in numbered if link is None}
         self._signed = tuple(signed)
         self._components = dict(components or {})
         self._velocity_needed = velocity_needed
@@ -137,7 +139,7 @@ class Admission:
         if record.link == self._room_link:
             self._wait(ReceivedFrame(frame, record.link, record.peer, record.t_ns))
             return
-        if frame.sysid not in self._row_of:
+        if frame.sysid not in self._known:
             return
         own = self._components.get(frame.sysid, AUTOPILOT_COMPID)
         if own != AUTOPILOT_COMPID:
@@ -145,9 +147,18 @@ class Admission:
                 return
             frame = frame._replace(compid=AUTOPILOT_COMPID)
         if frame.sysid in self._unlinked and frame.compid == AUTOPILOT_COMPID:
-            self._unlinked.discard(frame.sysid)
-            self._fleet.link[self._row_of[frame.sysid]] = record.link
+            self._fleet.expect_on(self._unlinked.pop(frame.sysid), record.link)
         self._wait(ReceivedFrame(frame, record.link, record.peer, record.t_ns))
+
+    def take_block(self, block: Block) -> None:
+        """The same for many, as columns where nothing about them is unusual."""
+        if self._room_link is not None or self._unlinked or self._components:
+            for item in received_frames(block):
+                self.take(Received(item.t_rx_ns, item.link, item.peer, item.frame))
+            return
+        self._ingest()
+        self._fleet.ingest_block(block)
+        self._drop_the_rest()
 
     def _wait(self, item: ReceivedFrame) -> None:
         self._waiting.append(item)
@@ -164,6 +175,11 @@ class Admission:
             self._fleet.hold_addresses(self._signed)
             self.settled_ns = event.t_ns
             self.armed_ns = event.t_ns if phase == _ARM else None
+
+    @property
+    def addresses(self) -> list[tuple[int, int]]:
+        """Link and system id of each vehicle."""
+        return list(zip(self._fleet.link.tolist(), self._fleet.sysid.tolist(), strict=True))
 
     def local(self) -> Reports:
         """LOCAL_POSITION_NED so far."""
@@ -194,10 +210,13 @@ class Admission:
     def _ingest(self) -> None:
         waiting, self._waiting = self._waiting, []
         if waiting:
-            fleet = self._fleet
-            fleet.ingest(waiting)
-            for take in (fleet.take_acks, fleet.take_texts, fleet.take_param_values, fleet.take_timesync_requests):
-                take()  # of no use here, and not to be kept
+            self._fleet.ingest(waiting)
+            self._drop_the_rest()
+
+    def _drop_the_rest(self) -> None:
+        fleet = self._fleet
+        for take in (fleet.take_acks, fleet.take_texts, fleet.take_param_values, fleet.take_timesync_requests):
+            take()  # of no use here, and not to be kept
 
     def _look(self, batch: Batch, vehicle: IntArray, t_ns: IntArray, news: BoolArray) -> None:
         self._look_for_restarts(batch, vehicle, t_ns)
@@ -280,7 +299,7 @@ def of_mission(mission: Values) -> Admission:
         if isinstance(how, Mapping) and how.get("key_file"):
             signed.append(number)
     return Admission(
-        [vehicle["id"] for vehicle in vehicles],
+        system_ids(mission),
         [None if url is None else numbers[url] for url in urls],
         signed=signed,
         velocity_needed="source" not in mission,

@@ -164,7 +164,7 @@ def placed(flight: Flight, since_s: FloatArray, vehicles: Sequence[int]) -> Floa
         since_s: times, shape (t,).
         vehicles: system ids.
     """
-    column = {track.sysid: number for number, track in enumerate(flight.vehicles)}
+    column = {track.id: number for number, track in enumerate(flight.vehicles)}
     pos_m = flight.positions_at(begin_ns(flight) + np.round(since_s * 1e9).astype(np.int64))
     chosen = pos_m[:, [column[sysid] for sysid in vehicles]].copy()
     for number, sysid in enumerate(vehicles):
@@ -177,8 +177,8 @@ def common(first: Flight, second: Flight) -> tuple[FloatArray, list[int]]:
     """Times from the common begin at which both flights last, and the vehicles that are in both."""
     last_s = min((flight.stop_ns - begin_ns(flight)) / 1e9 for flight in (first, second))
     step_s = max(_GRID_S, last_s / _MOST_INSTANTS)
-    theirs = {track.sysid for track in second.vehicles}
-    return np.arange(0.0, max(last_s, 0.0), step_s), [t.sysid for t in first.vehicles if t.sysid in theirs]
+    theirs = {track.id for track in second.vehicles}
+    return np.arange(0.0, max(last_s, 0.0), step_s), [t.id for t in first.vehicles if t.id in theirs]
 
 
 def deviation(first: Flight, second: Flight, names: tuple[str, str]) -> Deviation:

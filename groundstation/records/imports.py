@@ -24,7 +24,8 @@ from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.codec import Encoder, blank, encode_batch
 from groundstation.records.manifest import Manifest, manifest_path
 from groundstation.records.recording import recording
-from groundstation.records.tlog import GROUND_COMPID, GROUND_SYSID, LATEST_UNIX_US, TlogWriter
+from groundstation.records.spans import LATEST_UNIX_US
+from groundstation.records.tlog import GROUND_COMPID, GROUND_SYSID, TlogWriter
 
 _LOCAL_NED = 1  # MAV_FRAME_LOCAL_NED
 _VELOCITY_ONLY = 0x0DC7  # type_mask: position, acceleration, yaw and yaw rate are to be ignored

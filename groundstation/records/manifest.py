@@ -36,6 +36,17 @@ _NOT_REPEATABLE = ("wall_s", "log", "law_time")
 """Keys of a result that differ between equal dry runs."""
 
 
+def system_ids(mission: Values) -> list[int]:
+    """MAVLink system id of each vehicle of a mission: the id by which it is named, where nothing else is said."""
+    return [vehicle.get("sysid") or vehicle["id"] for vehicle in mission.get("vehicles") or ()]
+
+
+def shares_system_ids(mission: Values) -> bool:
+    """Whether vehicles on different links have the same system id, so that only both together tell who speaks."""
+    known = system_ids(mission)
+    return len(set(known)) < len(known)
+
+
 def versions() -> dict[str, str]:
     """Versions that a flight depends on; "unknown" for a copy of this project that was never installed."""
     try:

@@ -37,6 +37,7 @@ _HEADER = struct.Struct("<Hq")
 _TICK = struct.Struct("<qI")
 _ORIGIN = struct.Struct("<HH")
 _ROLES = struct.Struct("<HH")
+_LINK = struct.Struct("<H")
 _ROLES_PER_NOTE = (PAYLOAD_BYTES - _ROLES.size) // 2
 
 
@@ -59,6 +60,8 @@ class Kind(IntEnum):
     """uint16 first vehicle (from 0), uint16 number of vehicles, uint16 role of each from there on; 0 is none."""
     REFUSED = 0x9007
     """uint8 1 if more follows, then: uint8 why (1 unsigned, 2 wrong signature, 3 old time stamp), the whole frame."""
+    LINK = 0x9008
+    """uint16 link of the frames that follow, in both directions, up to the next one."""
 
 
 class Received(NamedTuple):
@@ -78,10 +81,11 @@ class Received(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """A frame that the ground station sent at ``t_ns``."""
+    """A frame that the ground station sent at ``t_ns``; over which link, where the log tells it."""
 
     t_ns: int
     frame: Frame
+    link: int | None = None
 
 
 class Tick(NamedTuple):
@@ -177,6 +181,18 @@ def unpack_origin(joined: bytes) -> Origin:
     """Unpacks an ORIGIN note whose pieces have been joined. Raises ValueError when it is too short."""
     subject, link = _unpack(_ORIGIN, joined)
     return Origin(subject, link, joined[_ORIGIN.size :].decode(errors="replace"))
+
+
+def pack_link(link: int) -> bytes:
+    """Packs a LINK note."""
+    return _LINK.pack(link)
+
+
+def unpack_link(payload: bytes) -> int:
+    """Unpacks a LINK note. Raises ValueError when it is too short."""
+    if len(payload) < _LINK.size:
+        raise ValueError(f"a note has {len(payload)} bytes, expected at least {_LINK.size}")
+    return int(_LINK.unpack_from(payload)[0])
 
 
 def pack_roles(roles: Sequence[int | None]) -> Iterator[bytes]:

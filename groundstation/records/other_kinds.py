@@ -21,7 +21,8 @@ _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"\x28\xb5\x2f\xfd", "packed with zstd", "unpack it first: zstd -d"),
     (b"PK\x03\x04", "a zip archive", "unpack it first"),
 )
-_LOOKED_AT = 1 << 16
+BEGINNING_BYTES = 1 << 16
+"""Of a file, that are looked at."""
 _RAW_FRAMES = 3
 
 
@@ -29,7 +30,7 @@ def refuse_other_kinds(data: bytes, name: str) -> None:
     """Tells what a file is that is no .tlog, as far as that is seen.
 
     Args:
-        data: the whole file.
+        data: how the file begins, ``BEGINNING_BYTES`` or all of it.
         name: for the message.
 
     Raises:
@@ -40,7 +41,7 @@ def refuse_other_kinds(data: bytes, name: str) -> None:
             raise UserError(f"{name}: is {what}, expected a log (.tlog); {remedy}")
     frames = joined = 0
     before: Frame | bytes = b""
-    for piece in FrameSplitter().feed(data[:_LOOKED_AT]):
+    for piece in FrameSplitter().feed(data[:BEGINNING_BYTES]):
         if isinstance(piece, Frame):
             frames += 1
             joined += isinstance(before, Frame)

@@ -22,6 +22,7 @@ from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 _BYTES_MAX = 1 << 26
 _MARK = "# kept by gs, the ground station"
 _KINDS = range(1, 11)  # MAV_PARAM_TYPE
+_VEHICLES = range(1, 10_000)
 _NAME_MAX = 16
 
 
@@ -119,8 +120,8 @@ def _read(line: str, where: str) -> tuple[int, int, str, Param]:
             raise ValueError(f"has {len(parts)} columns, expected 5: vehicle, component, name, value, type")
         sysid, compid, kind, value = int(parts[0]), int(parts[1]), int(parts[4]), float(parts[3])
         name = parts[2]
-        if not (0 < sysid < 256 and 0 <= compid < 256):
-            raise ValueError(f"vehicle {sysid}, component {compid}: must be 1 to 255 and 0 to 255")
+        if sysid not in _VEHICLES or not 0 <= compid < 256:
+            raise ValueError(f"vehicle {sysid}, component {compid}: must be 1 to {_VEHICLES[-1]} and 0 to 255")
         if not name.isascii() or len(name) > _NAME_MAX:
             raise ValueError(f"{name}: no name that MAVLink carries, {_NAME_MAX} letters at most")
         if kind not in _KINDS or not math.isfinite(value):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from groundstation.core.own_files import open_alone, sync_folder
 from groundstation.records.log_file import LogFile, Sink
-from groundstation.records.manifest import Manifest, manifest_path, write_manifest
+from groundstation.records.manifest import Manifest, manifest_path, shares_system_ids, write_manifest
 from groundstation.records.tlog import TlogWriter
 
 
@@ -39,5 +39,6 @@ def recording(
         os.close(descriptor)
         raise
     sync_folder(log.parent)
-    with TlogWriter(through(LogFile(log, descriptor)), manifest.epoch_unix_us) as writer:
+    by_link = shares_system_ids(manifest.mission)
+    with TlogWriter(through(LogFile(log, descriptor)), manifest.epoch_unix_us, by_link=by_link) as writer:
         yield writer

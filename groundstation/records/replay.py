@@ -19,13 +19,13 @@ import numpy as np
 
 from groundstation.core.errors import UserError
 from groundstation.core.types import BoolArray, FloatArray, IntArray
-from groundstation.mavlink.codec import Frame, message_id
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.records.admission import Admission, of_mission
 from groundstation.records.manifest import Manifest, Values, manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Noise, Operator, Received, Roles, Sent, Tick
+from groundstation.records.spans import Span
 from groundstation.records.tlog import TlogReader, read_tlog
-from groundstation.records.tracks import VehicleTrack, anchor_of, tracks_of, vectors
+from groundstation.records.tracks import Setpoints, VehicleTrack, anchor_of, tracks_of, vectors
 
 _FORMATION_EVENT = re.compile(r"info: formation of step (\d{1,6}): .+, scale (changing|free|[0-9.e+-]+)$")
 """Tells from which step the formation is from then on, and by how much it has grown since."""
@@ -264,27 +264,29 @@ def load_flight(path: Path) -> Flight:
 
 
 def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Flight:
-    setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
     mission: Values = {} if manifest is None else manifest.mission
     result: Values = (None if manifest is None else manifest.result) or {}
     _check_kinds(path, mission, result)
-    sysids, admission = admission_of(reader, mission)
-    setpoints: list[tuple[int, Frame]] = []
+    ids, admission = admission_of(reader, mission)
+    setpoints = Setpoints()
     roles: list[Roles] = []
     events: list[Event] = []
     operator: list[Operator] = []
     start_ns = stop_ns = ticks = noise_bytes = 0
     first = True
-    for record in reader:
+    for record in reader.spans():
         if first:
-            start_ns, first = record.t_ns, False
-        stop_ns = max(stop_ns, record.t_ns)
+            start_ns, first = record.first_ns if isinstance(record, Span) else record.t_ns, False
+        stop_ns = max(stop_ns, record.last_ns if isinstance(record, Span) else record.t_ns)
         match record:
+            case Span():
+                admission.take_block(record.received)
+                setpoints.take_span(record)
+                ticks += record.ticks
             case Received():
                 admission.take(record)
-            case Sent(t_ns, frame):
-                if frame.msgid == setpoint_id:
-                    setpoints.append((t_ns, frame))
+            case Sent():
+                setpoints.take(record)
             case Tick():
                 ticks += 1
             case Roles():
@@ -297,7 +299,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
             case Noise():
                 noise_bytes += len(record.data)
     vehicles, by_place = tracks_of(
-        path, mission, result, sysids=sysids, admission=admission, setpoints=setpoints, start_ns=start_ns
+        path, mission, result, ids=ids, admission=admission, setpoints=setpoints.columns(), start_ns=start_ns
     )
     notes = [f"{path}: {note}" for note in reader.notes]
     if by_place and len(vehicles) > 1:
@@ -324,7 +326,7 @@ def _collect(path: Path, reader: TlogReader, manifest: Manifest | None) -> Fligh
 
 
 def admission_of(reader: TlogReader, mission: Values) -> tuple[list[int], Admission]:
-    """Who is a vehicle in a log, by system id, and the rule by which its frames are let in.
+    """Who is a vehicle in a log, by the id that names it, and the rule by which its frames are let in.
 
     Args:
         reader: of the log.
@@ -362,8 +364,9 @@ def _check_kinds(path: Path, mission: Values, result: Values) -> None:
         if not isinstance(values.get(key), kinds | None):
             raise UserError(f"{path}: manifest: {where}.{key}: {reprlib.repr(values[key])}; the manifest is damaged")
     for index, vehicle in enumerate(mission.get("vehicles") or ()):
-        sysid = vehicle.get("id") if isinstance(vehicle, Mapping) else None
-        if type(sysid) is not int or not 0 <= sysid <= 255:
+        own = vehicle if isinstance(vehicle, Mapping) else {}
+        sysid = own.get("sysid") or own.get("id")
+        if type(own.get("id")) is not int or type(sysid) is not int or own["id"] < 0 or not 0 <= sysid <= 255:
             raise UserError(f"{path}: manifest: mission.vehicles[{index}]: no usable id; the manifest is damaged")
     for index, shape in enumerate(mission.get("shapes") or ()):
         if not isinstance(shape, Mapping) or type(shape.get("step")) is not int:

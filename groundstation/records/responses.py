@@ -13,12 +13,12 @@ import numpy as np
 
 from groundstation.core.phases import STEERED_PHASES
 from groundstation.core.types import FloatArray, IntArray
-from groundstation.mavlink.codec import Frame, message_id
 from groundstation.records.manifest import manifest_beside
 from groundstation.records.notes import PHASE_PREFIX, Event, Received, Sent
 from groundstation.records.replay import admission_of
+from groundstation.records.spans import Span
 from groundstation.records.tlog import read_tlog
-from groundstation.records.tracks import setpoint_columns
+from groundstation.records.tracks import Setpoints
 
 _STEERED = frozenset(phase.value for phase in STEERED_PHASES)
 _GAP_NS = 400_000_000  # longer ones between two reports leave the velocity unknown
@@ -30,12 +30,12 @@ class Motion:
     """What one vehicle was told and what it did.
 
     Attributes:
-        sysid: MAVLink system id.
+        id: by which the mission names the vehicle.
         asked_enu_m_s: setpoint in effect at each time, shape (t, 3).
         done_enu_m_s: reported velocity, NaN where unknown, shape (t, 3).
     """
 
-    sysid: int
+    id: int
     asked_enu_m_s: FloatArray
     done_enu_m_s: FloatArray
 
@@ -48,42 +48,45 @@ def load_motions(path: Path, step_s: float) -> list[Motion]:
         step_s: of the grid of times.
 
     Returns:
-        One for each vehicle that was given velocity setpoints, by system id; while the team was steered, where the
+        One for each vehicle that was given velocity setpoints, by id; while the team was steered, where the
         log names its phases.
 
     Raises:
         UserError: the log or its manifest cannot be used.
     """
     manifest = manifest_beside(path)
-    setpoint_id = message_id("SET_POSITION_TARGET_LOCAL_NED")
     reader = read_tlog(path, None if manifest is None else manifest.epoch_unix_us)
-    sysids, admission = admission_of(reader, {} if manifest is None else manifest.mission)
-    asked: list[tuple[int, Frame]] = []
+    ids, admission = admission_of(reader, {} if manifest is None else manifest.mission)
+    collected = Setpoints()
     phases: list[tuple[int, str]] = []
-    for record in reader:
+    for record in reader.spans():
         match record:
+            case Span():
+                admission.take_block(record.received)
+                collected.take_span(record)
             case Received():
                 admission.take(record)
-            case Sent(t_ns, frame) if frame.msgid == setpoint_id:
-                asked.append((t_ns, frame))
+            case Sent():
+                collected.take(record)
             case Event(t_ns, text) if text.startswith(PHASE_PREFIX):
                 admission.event(record)
                 phases.append((t_ns, text.removeprefix(PHASE_PREFIX).strip()))
-    set_t, set_id, set_vel = setpoint_columns(asked)
+    setpoints = collected.columns()
+    set_t, set_vel = setpoints.t_ns, setpoints.vel_enu_m_s
     local, places = admission.local(), admission.places()
     motions = []
-    for row, sysid in enumerate(sysids):
+    for row, (own_id, (link, sysid)) in enumerate(zip(ids, admission.addresses, strict=True)):
         own = local.of(row)
         said = own if len(own.t_ns) else places.of(row)
         said = said.where(np.asarray(np.isfinite(said.vel_ned_m_s).all(axis=1)))  # imported flights have none
         start_ns, stop_ns = _steered(phases, int(set_t[0]), int(set_t[-1])) if len(set_t) else (0, 0)
-        told = (set_id == sysid) & (set_t >= start_ns) & (set_t <= stop_ns)
+        told = setpoints.to(link, sysid) & (set_t >= start_ns) & (set_t <= stop_ns)
         if told.sum() < 2 or len(said.t_ns) < 2:
             continue
         north, east, down = said.vel_ned_m_s.T
         done = _measured_ns(said.t_ns, said.boot_ms), np.stack([east, north, -down], axis=-1)
-        motions.append(_on_grid(sysid, (set_t[told], set_vel[told]), done, step_s))
-    return sorted(motions, key=lambda motion: motion.sysid)
+        motions.append(_on_grid(own_id, (set_t[told], set_vel[told]), done, step_s))
+    return sorted(motions, key=lambda motion: motion.id)
 
 
 def _steered(phases: list[tuple[int, str]], first_ns: int, last_ns: int) -> tuple[int, int]:
@@ -103,7 +106,7 @@ def _measured_ns(t_rx_ns: IntArray, boot_ms: IntArray) -> IntArray:
 
 
 def _on_grid(
-    sysid: int, asked: tuple[IntArray, FloatArray], done: tuple[IntArray, FloatArray], step_s: float
+    own_id: int, asked: tuple[IntArray, FloatArray], done: tuple[IntArray, FloatArray], step_s: float
 ) -> Motion:
     grid = np.arange(int(asked[0][0]), int(asked[0][-1]), round(step_s * 1e9))
     last = np.searchsorted(asked[0], grid, side="right") - 1
@@ -113,4 +116,4 @@ def _on_grid(
     known = (grid >= times[after - 1]) & (grid <= times[after]) & (times[after] - times[after - 1] <= _GAP_NS)
     known &= grid - asked[0][last] <= _PAUSE_NS
     seen = np.stack([np.interp(grid, times, velocity[:, axis]) for axis in range(3)], axis=-1)
-    return Motion(sysid, told, np.where(known[:, None], seen, np.nan))
+    return Motion(own_id, told, np.where(known[:, None], seen, np.nan))

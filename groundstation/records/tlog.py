@@ -13,6 +13,8 @@ import os
 import re
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from mmap import ACCESS_READ, mmap
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 
@@ -34,6 +36,7 @@ from groundstation.mavlink.codec import (
     plain_frame,
     whole_frame,
 )
+from groundstation.mavlink.station import Outgoing
 from groundstation.records.log_file import Settling, Sink, opened
 from groundstation.records.notes import (
     FORMAT_VERSION,
@@ -52,16 +55,19 @@ from groundstation.records.notes import (
     Roles,
     Sent,
     pack_header,
+    pack_link,
     pack_origin,
     pack_roles,
     pack_text,
     pack_tick,
     unpack_header,
+    unpack_link,
     unpack_origin,
     unpack_roles,
     unpack_tick,
 )
-from groundstation.records.other_kinds import refuse_other_kinds
+from groundstation.records.other_kinds import BEGINNING_BYTES, refuse_other_kinds
+from groundstation.records.spans import LATEST_UNIX_US, NEAR_US, Cutter, Span, plain_stretch
 from groundstation.records.survey import Survey
 
 GROUND_SYSID = 255
@@ -71,14 +77,14 @@ _STAMP = struct.Struct(">Q")
 _SETUP_SIGNING = 256
 _FLUSH_NS = 1_000_000_000
 _FLUSH_BYTES = 1 << 16
-LATEST_UNIX_US = 4_102_444_800_000_000  # 2100-01-01
 _SMALLEST = 20  # bytes of a record whose frame has no payload
-_NEAR_US = 86_400_000_000  # one day: neighbours in a log are nearer than that
 _MAGIC = re.compile(b"[\xfd\xfe]")
 _SIGNING_HEADER = re.compile(rb"\xfd.{6}\x00\x01\x00", re.DOTALL)
 _SIGNING_BYTES = 10 + 42 + 2 + 13  # header, payload with the key, checksum, signature
 _SECRETS_MAX = 256
 _LOG_MAX = 4 << 30  # bytes; a hundred vehicles write as much in an hour and more
+_MAPPED_MIN = 64 << 20  # bytes
+_CAREFUL = 256  # records in one go, before columns are tried again
 _JOINED_MAX = 1 << 20  # bytes of one note; a datagram has 65,535 at most
 
 
@@ -95,6 +101,7 @@ class TlogWriter:
             are kept, what is below is cut off.
         sysid: system id of the ground station; frames of this sender are told apart by direction.
         compid: its component id.
+        by_link: vehicles of one system id are on several links: the link of every frame is told, in both directions.
 
     Raises:
         UserError: the file cannot be created.
@@ -105,6 +112,7 @@ class TlogWriter:
         target: Path | Sink,
         epoch_unix_us: int,
         *,
+        by_link: bool = False,
         sysid: int = GROUND_SYSID,
         compid: int = GROUND_COMPID,
     ) -> None:
@@ -114,12 +122,15 @@ class TlogWriter:
         self._sender = (sysid, compid)
         self._notes = Encoder(sysid, compid)
         self._secrets: dict[tuple[int, str], tuple[bytes, int]] = {}
-        self._origins: dict[int, tuple[int, str]] = {}
-        self._origins_seen: tuple[object, dict[int, tuple[int, str]]] = (None, {})
-        self._origins_table: IntArray = np.full(256, -1, dtype=np.int64)
+        self._by_link = by_link
+        self._link: int | None = None
+        self._origins: dict[tuple[int, int], tuple[int, str]] = {}
+        self._origins_seen: tuple[object, int] = (None, 0)
+        self._origins_table: IntArray = np.full((1, 256), -1, dtype=np.int64)
         self._ours: BoolArray = np.zeros((256, 256), dtype=np.bool_)
         self._ours[compid, sysid] = True
         self._buffer = bytearray()
+        self._origins_made = 0
         self._flushed_ns: int | None = None
         self._closed = False
         self.problem: str | None = None
@@ -159,7 +170,8 @@ class TlogWriter:
                 # A frame that bears our own id counts as sent unless an ORIGIN stands right before it.
                 ours = (piece.sysid, piece.compid) == self._sender
                 subject = OWN_SUBJECT if ours else piece.sysid
-                if ours or self._origins.get(subject) != (link, peer):
+                self._on_link(link, t_ns)
+                if ours or self._origins.get(self._source_key(subject, link)) != (link, peer):
                     self._origin(subject, link, peer, t_ns)
                 self._write(piece.raw, t_ns)
 
@@ -167,8 +179,9 @@ class TlogWriter:
         """The same for many datagrams, as one piece as long as nothing in them needs a note."""
         if self.problem is not None or self._closed:
             return
-        origin = self._origin_sources(block)
-        usual = not block.noise and bool((origin[block.sysid] == block.datagrams.source[block.datagram]).all())
+        links = block.datagrams.link[block.datagram]
+        origin = self._origin_sources(block)[links if self._by_link else 0, block.sysid]
+        usual = not block.noise and bool((origin == block.datagrams.source[block.datagram]).all())
         if not usual or bool(((block.msgid == _SETUP_SIGNING) | self._ours[block.compid, block.sysid]).any()):
             for link, peer, pieces, t_ns in block.pieces():
                 self.took(link, peer, pieces, t_ns)
@@ -186,28 +199,65 @@ class TlogWriter:
         frames[at] = False
         records[frames] = np.frombuffer(block.data, dtype=np.uint8, count=block.size)
         records[at] = stamps.astype(">i8").view(np.uint8).reshape(count, _STAMP.size)
-        self._buffer += records.tobytes()
+        if self._by_link:
+            self._add_by_link(records.tobytes(), links, at[:, 0], times_ns[block.datagram])
+        else:
+            self._buffer += records.tobytes()
         self._flush_when_due(int(times_ns[-1]))
 
+    def _add_by_link(self, records: bytes, links: IntArray, at: IntArray, times_ns: IntArray) -> None:
+        """Adds the records of a block, shape (k,), with a LINK note wherever the link changes."""
+        starts = [0, *(np.flatnonzero(np.diff(links)) + 1).tolist()]
+        bounds = [*at[starts].tolist(), len(records)]
+        for k, first in enumerate(starts):
+            self._on_link(int(links[first]), int(times_ns[first]))
+            self._buffer += records[bounds[k] : bounds[k + 1]]
+
     def _origin_sources(self, block: Block) -> IntArray:
-        """Which of a block's sources frames of each system id are known to come from, -1 for none, shape (256,)."""
-        if self._origins_seen[0] is not block.datagrams.sources or self._origins_seen[1] != self._origins:
-            number = {source: k for k, source in enumerate(block.datagrams.sources)}
-            self._origins_seen = (block.datagrams.sources, dict(self._origins))
-            self._origins_table[:] = [number.get(self._origins.get(sysid, (-1, "")), -1) for sysid in range(256)]
+        """Which of a block's sources frames of each link and system id are known to come from, -1 for none.
+
+        Shape (links, 256); one row for all where links do not count.
+        """
+        sources = block.datagrams.sources
+        if self._origins_seen[0] is not sources or self._origins_seen[1] != self._origins_made:
+            number = {source: k for k, source in enumerate(sources)}
+            self._origins_seen = (sources, self._origins_made)
+            rows = 1 + max((link for link, _ in sources), default=0) if self._by_link else 1
+            self._origins_table = np.full((rows, 256), -1, dtype=np.int64)
+            for (row, subject), source in self._origins.items():
+                if subject < 256 and max(row, 0) < rows:
+                    self._origins_table[max(row, 0), subject] = number.get(source, -1)
         return self._origins_table
+
+    def _source_key(self, subject: int, link: int) -> tuple[int, int]:
+        """For what an ORIGIN note counts: a system id, and its link where ids stand on several."""
+        return link if self._by_link and subject < 256 else -1, subject
+
+    def _on_link(self, link: int, t_ns: int) -> None:
+        if self._by_link and link != self._link:
+            self._link = link
+            self._note(Kind.LINK, pack_link(link), t_ns)
 
     def refused(self, link: int, peer: str, frame: Frame, why: int, t_ns: int) -> None:
         """Records a frame that arrived and was not let in; see ``notes.Refused``."""
         if frame.msgid == _SETUP_SIGNING:
             return
-        if self._origins.get(REFUSED_SUBJECT) != (link, peer):
+        if self._origins.get((-1, REFUSED_SUBJECT)) != (link, peer):
             self._origin(REFUSED_SUBJECT, link, peer, t_ns)
         self._note_pieces(Kind.REFUSED, pack_text(bytes((why,)) + frame.raw), t_ns)
 
     def sent(self, frame: bytes, t_ns: int) -> None:
         """Records one frame that went out."""
         self.sent_all([frame], t_ns)
+
+    def sent_datagrams(self, datagrams: Sequence[Outgoing], t_ns: int) -> None:
+        """Records all that went out at one time."""
+        if not self._by_link:
+            self.sent_all([frame for datagram in datagrams for frame in datagram.frames], t_ns)
+            return
+        for link, together in itertools.groupby(datagrams, key=attrgetter("link")):
+            self._on_link(link, t_ns)
+            self.sent_all([frame for datagram in together for frame in datagram.frames], t_ns)
 
     def sent_all(self, frames: Sequence[bytes], t_ns: int) -> None:
         """Records frames that went out at one time."""
@@ -256,7 +306,7 @@ class TlogWriter:
             self._fail(error)
 
     def _noise(self, link: int, peer: str, data: bytes, t_ns: int) -> None:
-        if self._origins.get(NOISE_SUBJECT) != (link, peer):
+        if self._origins.get((-1, NOISE_SUBJECT)) != (link, peer):
             self._origin(NOISE_SUBJECT, link, peer, t_ns)
         self._note_pieces(Kind.NOISE, pack_text(self._without_keys((link, peer), data), NOISE_BYTES), t_ns)
 
@@ -278,7 +328,8 @@ class TlogWriter:
         return shown
 
     def _origin(self, subject: int, link: int, peer: str, t_ns: int) -> None:
-        self._origins[subject] = (link, peer)
+        self._origins[self._source_key(subject, link)] = (link, peer)
+        self._origins_made += 1
         self._note_pieces(Kind.ORIGIN, pack_origin(Origin(subject, link, peer)), t_ns)
 
     def _note_pieces(self, kind: Kind, pieces: Iterator[bytes], t_ns: int) -> None:
@@ -337,11 +388,11 @@ class TlogReader:
         truncated_bytes: bytes at the end that are no whole record, as of the latest iteration.
     """
 
-    def __init__(self, data: bytes, name: str = "log", epoch_unix_us: int | None = None) -> None:
+    def __init__(self, data: bytes | mmap, name: str = "log", epoch_unix_us: int | None = None) -> None:
         """Finds the first record.
 
         Args:
-            data: the whole file.
+            data: the whole file, read or mapped.
             name: for messages.
             epoch_unix_us: unix time of t = 0 where the log itself does not say.
 
@@ -355,7 +406,7 @@ class TlogReader:
         self.truncated_bytes = 0
         if not data:
             raise UserError(f"{name}: the file is empty, expected a log (.tlog)")
-        refuse_other_kinds(data, name)
+        refuse_other_kinds(data[:BEGINNING_BYTES], name)
         first = next(self._frames(), None)
         if first is None:
             raise UserError(
@@ -406,6 +457,31 @@ class TlogReader:
         """Gives record by record; resets what was left out."""
         return self._native_records() if self.native else self._foreign_records()
 
+    def spans(self) -> Iterator[Record | Span]:
+        """The same with stretches of frames as columns; in logs of other programs record by record.
+
+        Between two records that come by themselves what was received is in order, and what was sent.
+        """
+        if not self.native:
+            yield from self
+            return
+        assembler = _Assembler()
+        cutter = Cutter(assembler, self._sender)
+        self.damaged_bytes = self.truncated_bytes = 0
+        position, last_us = 0, None
+        while position < len(self._data):
+            stretch = plain_stretch(self._data, position, last_us, self.epoch_unix_us)
+            if stretch is not None:
+                position, last_us = stretch.stop, stretch.last_us
+                yield from cutter.cut(stretch)
+                continue
+            careful = list(itertools.islice(self._frames_from(position, last_us), _CAREFUL))
+            last_us, _, position = careful[-1] if careful else (last_us, None, len(self._data))
+            for stamp_us, frame, _ in careful:
+                record = self._record(assembler, stamp_us, frame)
+                if record is not None:
+                    yield record
+
     def _foreign_records(self) -> Iterator[Record]:
         """Everything is received but what a ground station sent; stamps are put right where its clock was set."""
         survey = self.survey()
@@ -419,33 +495,40 @@ class TlogReader:
     def _native_records(self) -> Iterator[Record]:
         assembler = _Assembler()
         for stamp_us, frame in self._frames():
-            t_ns = (stamp_us - self.epoch_unix_us) * 1000
-            if (frame.sysid, frame.compid) != self._sender:
-                link, peer = assembler.origins.get(frame.sysid, (0, ""))
-                yield Received(t_ns, link, peer, frame)
-            elif assembler.next_is_received:
-                assembler.next_is_received = False
-                yield Received(t_ns, *assembler.origins[OWN_SUBJECT], frame)
-            elif (note := _note_in(frame)) is None:
-                yield Sent(t_ns, frame)
-            elif (record := assembler.take(t_ns, *note)) is not None:
+            record = self._record(assembler, stamp_us, frame)
+            if record is not None:
                 yield record
+
+    def _record(self, assembler: _Assembler, stamp_us: int, frame: Frame) -> Record | None:
+        """What a frame of a log of ours stands for; None for notes that are none by themselves."""
+        t_ns = (stamp_us - self.epoch_unix_us) * 1000
+        if (frame.sysid, frame.compid) != self._sender:
+            return Received(t_ns, *assembler.origin_of(frame.sysid), frame)
+        if assembler.next_is_received:
+            assembler.next_is_received = False
+            return Received(t_ns, *assembler.origin_of(OWN_SUBJECT), frame)
+        note = _note_in(frame)
+        return Sent(t_ns, frame, assembler.link) if note is None else assembler.take(t_ns, *note)
 
     def _frames(self) -> Iterator[tuple[int, Frame]]:
         """Gives (unix microseconds, frame) of each whole record."""
-        data, end = self._data, len(self._data)
         self.damaged_bytes = self.truncated_bytes = 0
-        position, last_us = 0, None
+        for stamp_us, frame, _ in self._frames_from(0, None):
+            yield stamp_us, frame
+
+    def _frames_from(self, position: int, last_us: int | None) -> Iterator[tuple[int, Frame, int]]:
+        """Gives (unix microseconds, frame, where the next record begins) of each whole record from a place on."""
+        data, end = self._data, len(self._data)
         while position < end:
             start = position
             # One record behind the other, with nothing strange about it: so they come by the hundred thousand.
             if start + _SMALLEST <= end:
                 frame = plain_frame(data[start + 8 : start + _SMALLEST + data[start + 9]])
                 stamp_us = _stamp_at(data, start)
-                near = last_us is None or abs(stamp_us - last_us) <= _NEAR_US
+                near = last_us is None or abs(stamp_us - last_us) <= NEAR_US
                 if frame is not None and near and stamp_us <= LATEST_UNIX_US:
                     position, last_us = start + 8 + len(frame.raw), stamp_us
-                    yield stamp_us, frame
+                    yield stamp_us, frame, position
                     continue
             found = self._record_at(start, last_us)
             while found is None:
@@ -458,7 +541,7 @@ class TlogReader:
             self.damaged_bytes += start - position
             last_us, frame = found
             position = start + 8 + len(frame.raw)
-            yield found
+            yield last_us, frame, position
 
     def _record_at(self, start: int, last_us: int | None) -> tuple[int, Frame] | None:
         """Reads the record at ``start``; None when there is none that can be believed.
@@ -484,13 +567,13 @@ class TlogReader:
         if frame is None:
             return None
         known = message_name(frame.msgid) is not None
-        near = last_us is None or abs(stamp_us - last_us) <= _NEAR_US
+        near = last_us is None or abs(stamp_us - last_us) <= NEAR_US
         if near and (known or len(data) - stop < 9):
             return stamp_us, frame
         if len(data) - stop < 9 or data[stop + 8] not in (MAGIC_V1, MAGIC_V2):
             return None
         next_us = _stamp_at(data, stop)
-        follows = abs(next_us - stamp_us) <= _NEAR_US or (near and next_us <= LATEST_UNIX_US)
+        follows = abs(next_us - stamp_us) <= NEAR_US or (near and next_us <= LATEST_UNIX_US)
         return (stamp_us, frame) if follows else None
 
 
@@ -498,15 +581,22 @@ class _Assembler:
     """Turns notes into records, joining those that needed several frames, and remembers where frames came from.
 
     Attributes:
-        origins: (link, peer) by system id, NOISE_SUBJECT and OWN_SUBJECT.
+        link: of the frames that follow, where the log tells it.
+        origins: (link, peer) by link, None where it does not count, and subject.
         next_is_received: an ORIGIN of OWN_SUBJECT stood last: the next frame with our own ids was received.
     """
 
     def __init__(self) -> None:
         self._parts: dict[int, bytearray] = {}
         self._roles: list[int | None] = []
-        self.origins: dict[int, tuple[int, str]] = {}
+        self.origins: dict[tuple[int | None, int], tuple[int, str]] = {}
+        self.link: int | None = None
         self.next_is_received = False
+
+    def origin_of(self, subject: int) -> tuple[int, str]:
+        """Link and peer that frames of a system id, or of another subject of ORIGIN notes, come from."""
+        known = self.origins.get((self.link if subject < NOISE_SUBJECT else None, subject))
+        return known or (self.link or 0, "")
 
     def take(self, t_ns: int, kind: int, payload: bytes) -> Record | None:
         """Takes one note; returns the record that it completes, if any. Kinds of later formats are passed over."""
@@ -515,6 +605,9 @@ class _Assembler:
                 return unpack_tick(payload)
             if kind == Kind.ROLES:
                 return self._take_roles(t_ns, payload)
+            if kind == Kind.LINK:
+                self.link = unpack_link(payload)
+                return None
             if kind in _IN_PARTS and payload:
                 text = self._parts.pop(kind, bytearray())
                 text += payload[1:]
@@ -536,14 +629,15 @@ class _Assembler:
 
     def _take_origin(self, _t_ns: int, joined: bytes) -> None:
         origin = unpack_origin(joined)
-        self.origins[origin.subject] = (origin.link, origin.peer)
+        told = self.link is not None and origin.subject < NOISE_SUBJECT
+        self.origins[origin.link if told else None, origin.subject] = (origin.link, origin.peer)
         self.next_is_received = origin.subject == OWN_SUBJECT
 
     def _take_noise(self, t_ns: int, data: bytes) -> Record:
-        return Noise(t_ns, *self.origins.get(NOISE_SUBJECT, (0, "")), data)
+        return Noise(t_ns, *self.origin_of(NOISE_SUBJECT), data)
 
     def _take_refused(self, t_ns: int, joined: bytes) -> Record | None:
-        return Refused(t_ns, *self.origins.get(REFUSED_SUBJECT, (0, "")), joined[0], joined[1:]) if joined else None
+        return Refused(t_ns, *self.origin_of(REFUSED_SUBJECT), joined[0], joined[1:]) if joined else None
 
     def _take_operator(self, t_ns: int, text: bytes) -> Record:
         return Operator(t_ns, text.decode(errors="replace"))
@@ -573,12 +667,20 @@ def read_tlog(path: Path, epoch_unix_us: int | None = None) -> TlogReader:
     """
     try:
         require_regular(path, _LOG_MAX, "a log")
-        data = path.read_bytes()
+        data = _content(path)
     except FileNotFoundError as error:
         raise UserError(f"{path}: no such log; give the .tlog file that a flight or an import wrote") from error
     except OSError as error:
         raise UserError(f"{path}: cannot read the log: {error.strerror or error}") from error
     return TlogReader(data, os.fspath(path), epoch_unix_us)
+
+
+def _content(path: Path) -> bytes | mmap:
+    """The whole file; a large one is mapped, so that only what is being read is in memory."""
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size < _MAPPED_MIN:
+            return file.read()
+        return mmap(file.fileno(), 0, access=ACCESS_READ)
 
 
 def _note_in(frame: Frame) -> tuple[int, bytes] | None:
@@ -593,7 +695,7 @@ def _note_in(frame: Frame) -> tuple[int, bytes] | None:
     return kind, whole[5 : 5 + length].ljust(length, b"\0")
 
 
-def _stamp_at(data: bytes, start: int) -> int:
+def _stamp_at(data: bytes | mmap, start: int) -> int:
     return int(_STAMP.unpack_from(data, start)[0])
 
 

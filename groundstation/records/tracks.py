@@ -11,11 +11,15 @@ import numpy as np
 import pymap3d
 
 from groundstation.core.errors import UserError
-from groundstation.core.types import FloatArray, IntArray
-from groundstation.mavlink.codec import Frame, decode
+from groundstation.core.types import BoolArray, FloatArray, IntArray
+from groundstation.mavlink.codec import Batch, decode, message_id
 from groundstation.records.admission import Admission, Reports
 from groundstation.records.manifest import Values
+from groundstation.records.notes import Sent
+from groundstation.records.spans import Span
 
+_SETPOINT = message_id("SET_POSITION_TARGET_LOCAL_NED")
+_CHUNK = 2_048
 _IGNORE_VELOCITY = 0x0038  # bits of SET_POSITION_TARGET_LOCAL_NED.type_mask
 
 
@@ -24,7 +28,9 @@ class VehicleTrack:
     """What the log says of one vehicle.
 
     Attributes:
-        sysid: MAVLink system id.
+        id: by which the mission names the vehicle; its system id without a mission.
+        sysid: MAVLink system id on its link.
+        link: number of that link; -1 where nothing was heard of it.
         t_ns: times of the reported positions, shape (k,), not decreasing.
         pos_team_enu_m: reported positions, shape (k, 3); in the vehicle's own frame when ``in_team_frame`` is False.
         vel_enu_m_s: velocities of the same reports, shape (k, 3); NaN where they told none.
@@ -35,7 +41,9 @@ class VehicleTrack:
         setpoint_vel_enu_m_s: those setpoints, shape (m, 3).
     """
 
+    id: int
     sysid: int
+    link: int
     t_ns: IntArray
     pos_team_enu_m: FloatArray
     vel_enu_m_s: FloatArray
@@ -51,9 +59,9 @@ def tracks_of(
     mission: Values,
     result: Values,
     *,
-    sysids: Sequence[int],
+    ids: Sequence[int],
     admission: Admission,
-    setpoints: Sequence[tuple[int, Frame]],
+    setpoints: SetpointColumns,
     start_ns: int,
 ) -> tuple[tuple[VehicleTrack, ...], bool]:
     """Puts the tracks of a flight together.
@@ -66,9 +74,9 @@ def tracks_of(
         path: of the log, for messages.
         mission: of the manifest; empty without one.
         result: of the manifest; empty without one.
-        sysids: the vehicles, in the order of the rows of ``admission``.
+        ids: of the vehicles, in the order of the rows of ``admission``.
         admission: has taken the whole log.
-        setpoints: SET_POSITION_TARGET_LOCAL_NED with their times.
+        setpoints: that were sent.
         start_ns: time of the first record.
 
     Returns:
@@ -89,32 +97,33 @@ def tracks_of(
         local = _from_places(places, admission.settled_ns, mission)
     moved = _moved(mission, result)
     settled_ns = start_ns if admission.armed_ns is None else admission.armed_ns
-    set_t, set_id, vel = setpoint_columns(setpoints)
     attitudes = admission.attitudes()
     tracks = []
-    for row, sysid in enumerate(sysids):
+    for row, (own_id, (link, sysid)) in enumerate(zip(ids, admission.addresses, strict=True)):
         own = local.of(row)
         lost_ns = None if by_place else admission.lost_ns.get(row)
         keep = np.ones(len(own.t_ns), dtype=np.bool_) if lost_ns is None else own.t_ns < lost_ns
-        if sysid in moved and not by_place:
+        if own_id in moved and not by_place:
             keep &= own.t_ns >= settled_ns
-        offset = np.zeros(3) if by_place else offsets.get(sysid)
+        offset = np.zeros(3) if by_place else offsets.get(own_id)
         north, east, down = own.position[keep].T
         order = np.argsort(own.t_ns[keep], kind="stable")
         vel_north, vel_east, vel_down = own.vel_ned_m_s[keep][order].T
-        leant, target = attitudes.of(row), set_id == sysid
+        leant, target = attitudes.of(row), setpoints.to(link, sysid)
         in_time = np.argsort(leant.t_ns, kind="stable")
         tracks.append(
             VehicleTrack(
+                id=own_id,
                 sysid=sysid,
+                link=link,
                 t_ns=own.t_ns[keep][order],
                 pos_team_enu_m=(np.stack([east, north, -down], axis=-1) + (0.0 if offset is None else offset))[order],
                 vel_enu_m_s=np.stack([vel_east, vel_north, -vel_down], axis=-1),
                 attitude_t_ns=leant.t_ns[in_time],
                 rpy_ned_rad=leant.rpy_ned_rad[in_time],
                 in_team_frame=offset is not None,
-                setpoint_t_ns=set_t[target],
-                setpoint_vel_enu_m_s=vel[target],
+                setpoint_t_ns=setpoints.t_ns[target],
+                setpoint_vel_enu_m_s=setpoints.vel_enu_m_s[target],
             )
         )
     return tuple(tracks), by_place
@@ -186,18 +195,84 @@ def _moved(mission: Values, result: Values) -> set[int]:
     return {v["id"] for v in mission.get("vehicles") or () if v.get("origin", "pad") not in ("pad", "team")}
 
 
-def setpoint_columns(timed: Sequence[tuple[int, Frame]]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Times, system ids and ENU velocities of setpoints, in order of time; those that are no numbers are left out."""
-    batches = decode([frame for _, frame in timed])
-    if not batches:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    (batch,) = batches
-    north, east, down = (batch.values[name].astype(np.float64) for name in ("vx", "vy", "vz"))
-    vectors = np.stack([east, north, -down], axis=-1)
-    t_ns = np.array([t for t, _ in timed], dtype=np.int64)
-    good = np.all(np.isfinite(vectors), axis=-1) & ((batch.values["type_mask"] & _IGNORE_VELOCITY) == 0)
-    order = np.argsort(t_ns[good], kind="stable")
-    return t_ns[good][order], batch.values["target_system"][good][order].astype(np.int64), vectors[good][order]
+@dataclass(frozen=True)
+class SetpointColumns:
+    """Velocity setpoints of a log, in order of time; those that are no numbers are left out.
+
+    Attributes:
+        t_ns: when they were sent, shape (k,).
+        link: over which link, -1 where the log does not tell, shape (k,).
+        sysid: to which system, shape (k,).
+        vel_enu_m_s: shape (k, 3).
+    """
+
+    t_ns: IntArray
+    link: IntArray
+    sysid: IntArray
+    vel_enu_m_s: FloatArray
+
+    @classmethod
+    def of(cls, batch: Batch, t_ns: IntArray, link: IntArray) -> SetpointColumns:
+        """Unpacks SET_POSITION_TARGET_LOCAL_NED, in order of time.
+
+        Args:
+            batch: k of them.
+            t_ns: when each was sent, shape (k,).
+            link: over which link, -1 where nobody tells, shape (k,).
+        """
+        values = batch.values
+        north, east, down = (values[name].astype(np.float64) for name in ("vx", "vy", "vz"))
+        vectors = np.stack([east, north, -down], axis=-1)
+        good = np.all(np.isfinite(vectors), axis=-1) & ((values["type_mask"] & _IGNORE_VELOCITY) == 0)
+        order = np.flatnonzero(good)[np.argsort(t_ns[good], kind="stable")]
+        return cls(t_ns[order], link[order], values["target_system"][order].astype(np.int64), vectors[order])
+
+    def to(self, link: int, sysid: int) -> BoolArray:
+        """Which of them went to a vehicle, shape (k,)."""
+        return np.asarray((self.sysid == sysid) & ((self.link < 0) | (self.link == link)))
+
+
+class Setpoints:
+    """Collects the velocity setpoints of a log; a thousand vehicles are sent 50,000 in a second."""
+
+    def __init__(self) -> None:
+        none = np.zeros(0, dtype=np.int64)
+        self._parts = [SetpointColumns(none, none, none, np.zeros((0, 3)))]
+        self._waiting: list[Sent] = []
+
+    def take(self, sent: Sent) -> None:
+        """Takes what was sent; all but setpoints is passed over."""
+        if sent.frame.msgid == _SETPOINT:
+            self._waiting.append(sent)
+            if len(self._waiting) >= _CHUNK:
+                self._unpack()
+
+    def take_span(self, span: Span) -> None:
+        """Takes all that was sent in a span."""
+        self._unpack()
+        for batch in span.sent.decode((_SETPOINT,)):
+            datagram = span.sent.datagram[batch.index]
+            t_ns = span.sent.datagrams.t_rx_ns[datagram]
+            self._parts.append(SetpointColumns.of(batch, t_ns, span.sent_link[batch.index]))
+
+    def columns(self) -> SetpointColumns:
+        """All so far, in order of time."""
+        self._unpack()
+        t_ns = np.concatenate([part.t_ns for part in self._parts])
+        order = np.argsort(t_ns, kind="stable")
+        return SetpointColumns(
+            t_ns[order],
+            np.concatenate([part.link for part in self._parts])[order],
+            np.concatenate([part.sysid for part in self._parts])[order],
+            np.concatenate([part.vel_enu_m_s for part in self._parts])[order],
+        )
+
+    def _unpack(self) -> None:
+        sent, self._waiting = self._waiting, []
+        for batch in decode([item.frame for item in sent]):
+            t_ns = np.array([item.t_ns for item in sent], dtype=np.int64)
+            link = np.array([-1 if item.link is None else item.link for item in sent], dtype=np.int64)
+            self._parts.append(SetpointColumns.of(batch, t_ns, link))
 
 
 def offsets_of(path: Path, mission: Values, result: Values) -> dict[int, FloatArray | None]:
@@ -210,18 +285,18 @@ def offsets_of(path: Path, mission: Values, result: Values) -> dict[int, FloatAr
     for index, vehicle in enumerate(mission.get("vehicles") or ()):
         where = f"{path}: manifest: mission.vehicles[{index}]"
         try:
-            sysid, origin = int(vehicle["id"]), vehicle.get("origin", "pad")
+            own_id, origin = int(vehicle["id"]), vehicle.get("origin", "pad")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise UserError(f"{where}: no usable id; the manifest is damaged") from error
         told = found[index] if index < len(found) else None
         if told is not None and None not in told:
-            offsets[sysid] = vectors(f"{path}: manifest: result.local_origins_enu_m[{index}]", told, (3,))
+            offsets[own_id] = vectors(f"{path}: manifest: result.local_origins_enu_m[{index}]", told, (3,))
         elif origin == "team":
-            offsets[sysid] = np.zeros(3)
+            offsets[own_id] = np.zeros(3)
         elif origin == "pad":
-            offsets[sysid] = vectors(f"{where}.pad_m", vehicle.get("pad_m"), (3,))
+            offsets[own_id] = vectors(f"{where}.pad_m", vehicle.get("pad_m"), (3,))
         else:
-            offsets[sysid] = None
+            offsets[own_id] = None
     return offsets
 
 

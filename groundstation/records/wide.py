@@ -77,7 +77,7 @@ def wide(flight: Flight, rate_hz: float) -> dict[str, Cells]:
 
 
 def _of_vehicle(flight: Flight, track: VehicleTrack, row: int, pos: FloatArray, t_ns: IntArray) -> dict[str, Cells]:
-    name, columns = f"v{track.sysid}", dict[str, Cells]()
+    name, columns = f"v{track.id}", dict[str, Cells]()
     frame = "enu" if track.in_team_frame else "own_enu"
     for axis, label in enumerate("xyz"):
         columns[f"{name}_{label}_{frame}_m"] = pos[:, axis]
@@ -128,7 +128,7 @@ def _events(flight: Flight, t_ns: IntArray) -> list[str]:
 
 def _distances(flight: Flight, t_ns: IntArray) -> dict[str, Cells]:
     """Distances of pairs at the instants; the smallest of all reports since the row before: rows hide nothing."""
-    columns, ids = dict[str, Cells](), [track.sysid for track in flight.vehicles]
+    columns, ids = dict[str, Cells](), [track.id for track in flight.vehicles]
     first, second = np.triu_indices(len(ids), 1)
     if len(ids) <= PAIRS_MOST:
         distances = flight.distances_at(t_ns)

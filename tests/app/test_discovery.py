@@ -14,7 +14,7 @@ import yaml
 from groundstation.app.discovery import Discovery
 from groundstation.mavlink.addresses import parse_address
 from groundstation.mavlink.codec import Encoder
-from groundstation.mission.plan.schema import VehicleSpec
+from groundstation.mission.plan.vehicle_spec import VehicleSpec
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 from tests.app.commands import gs

@@ -131,7 +131,7 @@ def test_without_the_key_nothing_is_heard_and_nothing_armed(key_file: Path) -> N
     assert flight.runner.outcome == "refused"
     assert not flight.world.truth.armed.any()
     assert flight.gate is not None
-    (line,) = flight.gate.words(flight.plan.links, {1: 0, 2: 1})
+    (line,) = flight.gate.words(flight.plan.links, {(0, 1): 1, (1, 2): 2})
     assert re.match(r"vehicle 2: \d+ frames without a signature ignored; it does not sign: give it the key", line)
 
 

@@ -58,6 +58,8 @@ def _models(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
             if item.__name__ not in found:
                 found[item.__name__] = item
                 todo += [field.annotation for field in item.model_fields.values()]
+                named = [mark for field in item.model_fields.values() for mark in field.metadata]
+                todo += [getattr(mark, "json_schema_input_type", None) for mark in named]  # short forms
         else:
             todo += getattr(item, "__args__", ())
             todo += [getattr(item, "__value__", None)] if hasattr(item, "__value__") else []

@@ -52,13 +52,13 @@ def test_words_tell_what_to_do() -> None:
     gate = _gate()
     _let_in(gate, 0, Encoder(3).encode("HEARTBEAT") * 120)
     _let_in(gate, 0, Encoder(9).encode("HEARTBEAT"))
-    assert gate.words(["udp", "tcp"], {3: 0}) == [
+    assert gate.words(["udp", "tcp"], {(0, 3): 3}) == [
         "vehicle 3: 120 frames without a signature ignored; it does not sign: give it the key of this mission"
         " (gs signing setup)",
         "system 9 on udp: 1 frame without a signature ignored",
     ]
     _let_in(gate, 0, _signed(3))
-    assert "1 good ones taken; somebody else speaks in its name" in gate.words(["udp", "tcp"], {3: 0})[0]
+    assert "1 good ones taken; somebody else speaks in its name" in gate.words(["udp", "tcp"], {(0, 3): 3})[0]
 
 
 def test_radios_come_in_and_vehicles_in_their_clothes_do_not() -> None:

@@ -46,10 +46,10 @@ def identify(
         axes = {name: fit([asked[k]], [done[k]]) for k, name in enumerate(DIRECTIONS)}
         axes["horizontal"] = fit(list(asked[:2]), list(done[:2]))
         for name in ("horizontal", "up"):
-            table.add_row(str(motion.sysid), name, *cells(axes[name]))
+            table.add_row(str(motion.id), name, *cells(axes[name]))
             if axes[name].problem:
-                problems[f"vehicle {motion.sysid}, {name}: {axes[name].problem}"] = None
-        vehicles.append({"id": motion.sysid, "profile": profile_of.get(motion.sysid), **slowest(axes),
+                problems[f"vehicle {motion.id}, {name}: {axes[name].problem}"] = None
+        vehicles.append({"id": motion.id, "profile": profile_of.get(motion.id), **slowest(axes),
                          "axes": {name: values(found) for name, found in axes.items()}})  # fmt: skip
     out.console.print(table)
     for problem in problems:

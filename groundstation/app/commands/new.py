@@ -15,7 +15,7 @@ from groundstation.app.output import Output
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 
-_COMPLETE = "complete"
+_COMPLETE, _MESH = "complete", "mesh"
 _KINDS = "formation", "law"
 
 
@@ -39,8 +39,8 @@ def new(
     graph: Annotated[
         str,
         typer.Option(
-            help="Edges: complete, or a proposed graph that is sparse, balanced or robust.",
-            autocompletion=choice(_COMPLETE, *GRAPHS),
+            help="Edges: complete, a proposed graph that is sparse, balanced or robust, or mesh for hundreds.",
+            autocompletion=choice(_COMPLETE, _MESH, *GRAPHS),
         ),
     ] = "balanced",
     output: Annotated[
@@ -60,15 +60,16 @@ def new(
     from groundstation.app.schema_files import schema_line, write_schema
     from groundstation.core.formation import Formation
     from groundstation.design.common_shapes import SHAPES, points_of
-    from groundstation.design.designer import evaluator
+    from groundstation.design.designer import design, evaluator
     from groundstation.design.graphs import SHARE, Kind, suggest
+    from groundstation.design.mesh import mesh
 
     kinds: dict[str, Kind] = {"sparse": "sparse", "balanced": "balanced", "robust": "robust"}
     out = Output(as_json=as_json)
     if what != "formation":
         raise UserError(f"gs new {what}: {unknown(what, _KINDS)}; for example: gs new formation ring -n 12")
-    if graph != _COMPLETE and graph not in SHARE:
-        raise UserError(f"--graph {graph}: {unknown(graph, (_COMPLETE, *SHARE))}")
+    if graph not in (_COMPLETE, _MESH) and graph not in SHARE:
+        raise UserError(f"--graph {graph}: {unknown(graph, (_COMPLETE, _MESH, *SHARE))}")
     if spacing_m is not None and not 0.0 < spacing_m <= 1e4:
         raise UserError(f"--spacing {spacing_m:g}: must be more than 0 m and at most 10000 m")
     suffix = Path(shape).suffix.lower() if shape not in SHAPES else ""
@@ -87,9 +88,14 @@ def new(
     scale = scale_to(points, spacing_m)
     pairs = tuple(itertools.combinations(range(len(points)), 2)) if graph == _COMPLETE else ((0, 1),)
     formation = Formation(name=name, points_enu_m=points, edges=pairs)
-    if graph != _COMPLETE:
-        formation = suggest(formation, kinds[graph], evaluator()).formation
-    slowest, _ = evaluator()(formation)
+    if graph == _MESH:
+        formation = mesh(formation)
+        figures = design(formation, method="triangles").certificate
+        slowest = -(figures.lambda_max or 0.0) if figures is not None else 0.0
+    else:
+        if graph != _COMPLETE:
+            formation = suggest(formation, kinds[graph], evaluator()).formation
+        slowest, _ = evaluator()(formation)
     path = output or Path(f"{name}.yaml")
     about = [f"{len(points)} agents, {len(formation.edges)} edges ({graph}), slowest mode {slowest:.4g} 1/s of 10."]
     text = formation_text(formation, scale=scale, about=about)
@@ -98,7 +104,8 @@ def new(
     schema = write_schema(path.parent, "formation")
     if schema is not None:
         out.console.print(Text(f"made {schema}: for editors"))
-    out.console.print(Text(f"next:  gs design {path}"))
+    how = " --method triangles" if graph == _MESH else ""
+    out.console.print(Text(f"next:  gs design {path}{how}"))
     out.result({
         "file": str(path), "n": len(points), "edges": len(formation.edges), "scale": scale, "slowest": slowest,
     })  # fmt: skip

@@ -84,7 +84,7 @@ class Recorded:
         return Snapshot(
             words=self._words(t_ns),
             t_s=t_s,
-            ids=np.array([track.sysid for track in flight.vehicles], dtype=np.int64),
+            ids=np.array([track.id for track in flight.vehicles], dtype=np.int64),
             role=role,
             duty=np.full(n, int(Duty.FORMATION)),
             state=known * AIRBORNE,  # a log does not always tell: everybody counts, as in gs replay
@@ -127,7 +127,7 @@ class Recorded:
             return []
         at = int(self._near_m.argmin())
         first, second = (side[pairs[at]] for side in np.triu_indices(len(self.flight.vehicles), 1))
-        one, other = (self.flight.vehicles[int(row)].sysid for row in (first, second))
+        one, other = (self.flight.vehicles[int(row)].id for row in (first, second))
         text = f"smallest distance of the flight: {self._near_m[at]:.4f} m, vehicles {one} and {other}"
         return [(self._s(int(self._near_ns[at])), "near", text)]
 
@@ -152,7 +152,7 @@ class Recorded:
         over = t_ns >= flight.stop_ns
         manifest = flight.manifest
         result = (manifest.result if manifest is not None else None) or {}
-        said = {track.sysid: "" for track in flight.vehicles}
+        said = {track.id: "" for track in flight.vehicles}
         for event in flight.events:
             who, says, text = event.text.removeprefix("info: ").partition(" says: ")
             number = who.removeprefix("vehicle ")

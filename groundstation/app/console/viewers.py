@@ -202,7 +202,7 @@ class Viewers:
                 refused={order.value: why for order in Order if (why := runner.refusal(order))},
             ),
             t_s=now_ns / SECOND_NS,
-            ids=fleet.sysid,
+            ids=fleet.ids,
             role=role,
             duty=look.duty,
             state=np.asarray(state, dtype=np.int64),

@@ -110,7 +110,7 @@ class Landing:
         standing: Standing,
     ) -> None:
         n = plan.size
-        self.spots = Spots(fleet.sysid, roster, Columns(plan.pads_enu_m, distances), fence_box(plan))
+        self.spots = Spots(fleet.ids, roster, Columns(plan.pads_enu_m, distances), fence_box(plan))
         self._plan = plan
         self._roster = roster
         self._fleet = fleet
@@ -278,7 +278,7 @@ class Landing:
                 fleet.senders.alternating(vehicle, now_ns) or "they go to and fro"
             )
         return (
-            f"vehicle {fleet.sysid[vehicle]}: stands on the ground by its own report, whether it is disarmed is not"
+            f"vehicle {fleet.ids[vehicle]}: stands on the ground by its own report, whether it is disarmed is not"
             f" known, since {why}; keep away from it, and disarm it by remote control or take its battery out"
         )
 
@@ -301,7 +301,7 @@ class Landing:
             waited_s: since landing began.
             left_alone: what its own failsafe does with it when setpoints stop.
         """
-        fleet, sysid = self._fleet, self._fleet.sysid[vehicle]
+        fleet, sysid = self._fleet, self._fleet.ids[vehicle]
         autopilot = self._plan.autopilots[vehicle]
         mode = int(fleet.custom_mode[vehicle])
         on_ground = fleet.landed_state[vehicle] == LANDED_ON_GROUND

@@ -92,7 +92,7 @@ class Arming:
 
     def started_anew(self) -> str | None:
         """Words for the vehicles of ours that have started anew since the attempt began, None where none has."""
-        anew = self._fleet.sysid[(self._fleet.restarts != self._restarts) & self._roster.ours]
+        anew = self._fleet.ids[(self._fleet.restarts != self._restarts) & self._roster.ours]
         words = "has started anew while the team was arming; see to its power"
         return "; ".join(f"vehicle {sysid}: {words}" for sysid in anew) or None
 
@@ -101,7 +101,7 @@ class Arming:
         if not self._fleet.senders.in_doubt(now_ns).any():
             return None
         told = (self._fleet.twin_behind_one_address(row, now_ns) for row in np.flatnonzero(self._roster.ours).tolist())
-        names = self._fleet.sysid[self._roster.ours]
+        names = self._fleet.ids[self._roster.ours]
         return "; ".join(f"vehicle {sysid}: {words}" for sysid, words in zip(names, told, strict=True) if words) or None
 
     def why_not(self, waited_s: float, said: Mapping[int, str]) -> str:
@@ -117,7 +117,7 @@ class Arming:
             silence = f"it acknowledged {missing} and did not do it" if yes else "the autopilot gave no reason"
             silence += "; see what QGroundControl or Mission Planner show of its checks"
             reasons.append(
-                f"vehicle {fleet.sysid[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
+                f"vehicle {fleet.ids[vehicle]}: {'armed' if fleet.armed[vehicle] else 'not armed'} in mode {mode}"
                 f" after {waited_s:g} s: {said.get(vehicle, silence)}"
             )
         return "; ".join(reasons)

@@ -25,7 +25,6 @@ import numpy as np
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.failsafes import Wish
 from groundstation.mission.plan.pads import pads_above
-from groundstation.mission.plan.stages import roles_for
 
 if TYPE_CHECKING:
     from groundstation.mission.plan.plan import MissionPlan
@@ -77,7 +76,7 @@ class FailsafePlan:
 
 def first_roles(plan: MissionPlan) -> IntArray:
     """Role per vehicle, from the pads: known before anybody has reported a position."""
-    return roles_for(plan.stages[plan.stage_of_step[0]], plan.pads_enu_m)
+    return plan.pad_roles
 
 
 @dataclass(frozen=True)

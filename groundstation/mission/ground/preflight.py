@@ -243,7 +243,6 @@ class Preflight:
 
     def _where_else(self, vehicle: int, now_ns: int) -> str:
         plan, fleet = self._plan, self._station.fleet
-        spec = plan.spec.vehicles[vehicle]
         component = fleet.senders.component(vehicle, now_ns)
         if component is not None:
             return (
@@ -253,9 +252,10 @@ class Preflight:
         part = fleet.senders.part(vehicle, now_ns)
         if part is not None:
             return f"heard under its id is only what is no autopilot, {part.words}; switch the autopilot on"
-        other = [plan.links[link] for link in fleet.links_of(spec.id, now_ns)]
+        sysid = plan.sysids[vehicle]
+        other = [plan.links[link] for link in fleet.links_of(sysid, now_ns)]
         if other:
-            return f"a system {spec.id} is heard on {', '.join(other)}; correct its link"
+            return f"a system {sysid} is heard on {', '.join(other)}; correct its link"
         strangers = fleet.strangers(plan.link_of_vehicle[vehicle], now_ns)
         if strangers:
             return f"heard there instead: system {', '.join(map(str, strangers[:8]))}; correct its id or link"

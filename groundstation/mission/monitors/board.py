@@ -223,7 +223,7 @@ class Board:
 
     def _tell(self, finding: Finding, reaction: Reaction, findings: Findings, sight: Sight, *, others: bool) -> None:
         """Puts a finding into words, and says what they are for: an alarm, or a reason too."""
-        rows, ids = finding.vehicles, sight.fleet.sysid[list(finding.vehicles)].tolist()
+        rows, ids = finding.vehicles, sight.fleet.ids[list(finding.vehicles)].tolist()
         names = f"vehicle {ids[0]}" if len(ids) == 1 else ""
         if finding.pair and len(ids) > 1:
             names = f"vehicles {ids[0]} and {ids[1]}"

@@ -144,7 +144,7 @@ class Distance:
             both = divmod(number, self._n)
             words = self._region.near_words(length(offsets[row]), clearance)
             for other in (vehicle for vehicle in both if not ours[vehicle]):  # one of them at least is ours: it flies
-                words = f"too near to vehicle {sight.fleet.sysid[other]}, {words}"
+                words = f"too near to vehicle {sight.fleet.ids[other]}, {words}"
             yield Finding(Reaction.ALL_HOME, words, both, pair=True)
 
 

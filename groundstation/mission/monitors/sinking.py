@@ -52,9 +52,9 @@ class Sinking:
             can_leave = ours[other] and not (stands | sight.blind | self._by_itself)[other]
             if ours[who]:
                 then = "which gets out of the way" if can_leave else "and cannot be told to leave; keep people away"
-                what = f"comes down by itself, vehicle {fleet.sysid[other]} is {below} below and {beside}, {then}"
+                what = f"comes down by itself, vehicle {fleet.ids[other]} is {below} below and {beside}, {then}"
                 yield Finding(Reaction.SAY, what, (who,))
             else:
                 then = "it gets out of the way" if can_leave else "it cannot be told to leave; keep people away"
-                what = f"vehicle {fleet.sysid[who]} comes down by itself {below} above and {beside}, {then}"
+                what = f"vehicle {fleet.ids[who]} comes down by itself {below} above and {beside}, {then}"
                 yield Finding(Reaction.SAY, what, (other,))

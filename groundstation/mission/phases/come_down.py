@@ -96,7 +96,7 @@ class _ComingDown(PhaseState):
             team.verdict.abort(team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s, alone))
 
     def _names(self, who: BoolArray) -> str:
-        return vehicle_list(self._team.fleet.sysid[who].tolist())
+        return vehicle_list(self._team.fleet.ids[who].tolist())
 
 
 class LandPhase(_ComingDown):

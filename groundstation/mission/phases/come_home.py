@@ -39,7 +39,7 @@ class ReturnPhase(PhaseState):
             event = Event.BACK
         elif now_ns - self.since_ns >= team.plan.spec.land.timeout_s * SECOND_NS:
             names = ", ".join(
-                f"vehicle {team.fleet.sysid[row]} is {offset_m[row]:.2f} m from its place"
+                f"vehicle {team.fleet.ids[row]} is {offset_m[row]:.2f} m from its place"
                 for row in np.flatnonzero(away).tolist()
             )
             waited_s = team.plan.spec.land.timeout_s

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 
@@ -11,6 +10,7 @@ import numpy as np
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
+from groundstation.core.near import near_pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray
 from groundstation.core.wind import Airframe
@@ -21,6 +21,7 @@ from groundstation.mission.plan.links import (
     POSE_HZ,
     check_crtp,
     check_signing,
+    check_system_ids,
     fit_links,
     mavlink_link,
     read_forward,
@@ -92,6 +93,7 @@ def build_plan(
     _check_takeoff(spec, pads, source)
     _check_upload(spec, source)
     check_crtp(spec, source)
+    check_system_ids(spec, source)
     link_of = [mavlink_link(spec, vehicle) for vehicle in spec.vehicles]
     links = tuple(dict.fromkeys(link_of))
     addresses = tuple(parse_address(link) for link in links)
@@ -304,7 +306,7 @@ def _check_upload(spec: MissionSpec, source: str) -> None:
 def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:
     radius = spec.avoidance.radius_m
     check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
-    for i, j in itertools.combinations(range(len(pads)), 2):
+    for i, j in near_pairs(pads, 1.01 * radius):
         distance = float(np.linalg.norm(pads[i] - pads[j]))
         if distance < radius:
             raise UserError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from groundstation.core.errors import UserError
 from groundstation.mavlink.addresses import GATEWAY_LINK, LinkAddress, is_crtp, mavlink_url, parse_address, radio_of
@@ -11,7 +12,8 @@ from groundstation.mavlink.autopilots import AUTOPILOTS
 from groundstation.mission.plan.budget import LinkRates, fit_rates, frame_bytes
 from groundstation.mission.plan.gateway_spec import GatewaySpec
 from groundstation.mission.plan.positioning_spec import MovingBodySpec, PositioningSpec
-from groundstation.mission.plan.schema import MissionSpec, VehicleSpec
+from groundstation.mission.plan.schema import MissionSpec
+from groundstation.mission.plan.vehicle_spec import SYSTEM_IDS, VehicleSpec, system_ids
 from groundstation.mocap.bodies import LINK, RoomConfig, room_config
 
 _POSITION_MESSAGES = {"local": "LOCAL_POSITION_NED", "global": "GLOBAL_POSITION_INT"}
@@ -51,6 +53,11 @@ class LinkPlan:
     def size(self) -> int:
         """Number of vehicles, n."""
         return len(self.spec.vehicles)
+
+    @cached_property
+    def sysids(self) -> tuple[int, ...]:
+        """MAVLink system id of each vehicle on its link."""
+        return system_ids(self.spec.vehicles)
 
     @property
     def stream_links(self) -> tuple[int, ...]:
@@ -146,6 +153,34 @@ def check_crtp(spec: MissionSpec, source: str) -> None:
         raise UserError(f"{source}: gateway.link: {address.url}: expected udpout://HOST:PORT, as {GATEWAY_LINK}")
 
 
+def check_system_ids(spec: MissionSpec, source: str) -> None:
+    """Refuses two vehicles of one system id on one link, and others than its id where that alone names a vehicle.
+
+    Raises:
+        UserError: with key and remedy.
+    """
+    sysids = system_ids(spec.vehicles)
+    first_with: dict[tuple[str, int], int] = {}
+    for number, (vehicle, sysid) in enumerate(zip(spec.vehicles, sysids, strict=True)):
+        key, at = f"{source}: vehicles[{number}].sysid", (mavlink_link(spec, vehicle), sysid)
+        if sysid not in SYSTEM_IDS:
+            raise UserError(
+                f"{key}: {sysid}, its place on {vehicle.link}, is no system id of a vehicle, limit {SYSTEM_IDS[-1]};"
+                " put some of its vehicles behind another link"
+            )
+        if at in first_with:
+            raise UserError(
+                f"{key}: {sysid} on {at[0]} is that of vehicles[{first_with[at]}] too; give each of a link its own"
+            )
+        first_with[at] = number
+        by_id = is_crtp(vehicle.link) or isinstance(spec.positioning, PositioningSpec)
+        if by_id and sysid != vehicle.id:
+            raise UserError(
+                f"{key}: {sysid}, and motion capture and gateways know vehicles by their id, {vehicle.id}; leave it"
+                f" out, and number the vehicles from 1 to {SYSTEM_IDS[-1]}"
+            )
+
+
 def read_forward(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) -> LinkAddress | None:
     """Where another ground station watches along.
 
@@ -162,6 +197,12 @@ def read_forward(spec: MissionSpec, addresses: Sequence[LinkAddress], source: st
     if address is None or address.kind != "udpout" or address.through_mavsdk or not 0 < address.port < 1 << 16:
         raise UserError(
             f"{source}: forward: {spec.forward}: expected udpout://HOST:PORT, for example udpout://127.0.0.1:14550"
+        )
+    sysids = system_ids(spec.vehicles)
+    if len(set(sysids)) < len(sysids):
+        raise UserError(
+            f"{source}: forward: {spec.forward}: it could not tell vehicles of one system id on different links apart;"
+            " give each vehicle its own (sysid), or leave it out"
         )
     for other in addresses:
         listens = other.kind == "udpin" and other.port == address.port

@@ -17,7 +17,7 @@ from groundstation.core.compensation import Compensator
 from groundstation.core.formation import Formation
 from groundstation.core.obstacles import Obstacles
 from groundstation.core.regions import SafetyRegion, build_region
-from groundstation.core.types import FloatArray
+from groundstation.core.types import FloatArray, IntArray
 from groundstation.mavlink.autopilot import Autopilot
 from groundstation.mission.plan.limits import Limits
 from groundstation.mission.plan.links import LinkPlan
@@ -27,9 +27,7 @@ from groundstation.mission.plan.positioning import (
 )
 from groundstation.mission.plan.profiles import VehicleProfile, approach_rate_1_s, slowest
 from groundstation.mission.plan.schema import MissionSpec
-from groundstation.mission.plan.stages import (
-    FormationPlan,
-)
+from groundstation.mission.plan.stages import FormationPlan, roles_for
 from groundstation.mission.plan.wind import WindLimit, grown_by_m
 
 _KEEP_PLACE_1_S = 0.1
@@ -75,6 +73,11 @@ class MissionPlan(LinkPlan, FormationPlan):
     def region(self) -> SafetyRegion:
         """What is kept clear around every vehicle, without the margin."""
         return region_of(self.spec, self.profile)
+
+    @cached_property
+    def pad_roles(self) -> IntArray:
+        """Role per vehicle from the pads, shape (n,): known before anybody has reported a position."""
+        return roles_for(self.stages[self.stage_of_step[0]], self.pads_enu_m)
 
     @cached_property
     def room_with_pads_m(self) -> float:
@@ -129,6 +132,9 @@ class MissionPlan(LinkPlan, FormationPlan):
             form["formation"] = shape.formation.name
             encoded = base64.b64encode(shape.gains_npz).decode()
             shapes.append({"step": number, "formation": _plain(shape.formation), "gains_npz_base64": encoded})
+        for item, vehicle, sysid in zip(values["vehicles"], self.spec.vehicles, self.sysids, strict=True):
+            if sysid != vehicle.id:
+                item["sysid"] = sysid
         code = {key: item.record() for key, item in self.own_code.items()}
         beside = {**({"shapes": shapes} if shapes else {}), **({"own_code": code} if code else {})}
         formation = _plain(self.formation) if self.spec.formation is not None else None

@@ -19,16 +19,16 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from groundstation.core.files import faults
 from groundstation.core.findings import no_boolean
 from groundstation.mission.plan.fields import NotNegative, Number, Point, Positive
 from groundstation.mission.plan.gateway_spec import GatewaySpec
 from groundstation.mission.plan.obstacle_spec import ObstacleSpec, TrafficSpec
 from groundstation.mission.plan.positioning_spec import PositioningSpec
 from groundstation.mission.plan.sensing_spec import SensingSpec
+from groundstation.mission.plan.vehicle_spec import TeamSpec, VehicleSpec
 
 _COMES_TO_REST_S = 2.0
-VEHICLE_IDS = range(1, 251)
-"""System ids that a vehicle may have: 0 means everybody, those above are ground stations' and other programs'."""
 
 
 class _Strict(BaseModel):
@@ -402,32 +402,6 @@ class SigningSpec(LinkSigningSpec):
     links: dict[str, LinkSigningSpec] = {}
 
 
-class VehicleSpec(_Strict):
-    """One vehicle, its pad, and where its position counts from."""
-
-    id: Annotated[int, BeforeValidator(no_boolean), Field(ge=VEHICLE_IDS[0], le=VEHICLE_IDS[-1])]
-    link: str
-    autopilot: str = "px4"
-    profile: str = "crazyflie"
-    pad_m: Point
-    origin: Literal["pad", "team", "gps", "declared"] = "pad"
-    origin_m: Point | None = None
-    position: Literal["local", "global"] = "local"
-    endurance_s: Positive | None = None
-    body: Annotated[str, Field(min_length=1, max_length=80)] | None = None
-
-    @property
-    def body_name(self) -> str:
-        """Name of its body in the motion capture system."""
-        return self.body or f"cf{self.id}"
-
-    @model_validator(mode="after")
-    def _declared(self) -> VehicleSpec:
-        if (self.origin == "declared") != (self.origin_m is not None):
-            raise ValueError("origin: declared and origin_m, the place of the local frame's origin, go together")
-        return self
-
-
 class ProfileSpec(_Strict):
     """A profile of this mission, or other figures for one that is known; what is not given is as in ``like``."""
 
@@ -483,6 +457,23 @@ class _CourseKeys(_FormationKeys):
     failsafe: FailsafeSpec = FailsafeSpec()
 
 
+def _one_by_one(value: object) -> object:
+    """Vehicles in the short form, one by one."""
+    if not isinstance(value, dict):
+        return value
+    wrong = faults(TeamSpec, value)
+    if wrong:
+        raise ValueError("; ".join(wrong.values()))
+    return TeamSpec.model_validate(value).vehicles()
+
+
+Vehicles = Annotated[
+    tuple[VehicleSpec, ...],
+    Field(min_length=1),
+    BeforeValidator(_one_by_one, json_schema_input_type=tuple[VehicleSpec, ...] | TeamSpec),
+]
+
+
 class MissionSpec(_CourseKeys):
     """The whole file."""
 
@@ -497,4 +488,4 @@ class MissionSpec(_CourseKeys):
     gateway: GatewaySpec | None = None
     profiles: dict[str, ProfileSpec] = {}
     compensate_s: Literal["auto", 0] | Annotated[Number, Field(ge=0.2, le=2)] = "auto"
-    vehicles: Annotated[tuple[VehicleSpec, ...], Field(min_length=1)]
+    vehicles: Vehicles

@@ -8,7 +8,6 @@ will be. Refuses to read files; ``plan`` does.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from groundstation.core.control import ScaleFunction, fitting_scale_gain
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.core.motion import MovePlan
+from groundstation.core.near import near_pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
@@ -301,7 +301,7 @@ def check_clearance(
     """
     if region.by_distance:
         return
-    for i, j in itertools.combinations(range(len(points_m)), 2):
+    for i, j in near_pairs(points_m, 1.01 * region.reach_m(0.0)):
         offset = points_m[j] - points_m[i]
         if region.clearance(offset) <= 1.0:
             raise UserError(
@@ -328,7 +328,7 @@ def check_shape(
     names = "formation.points[{}]", "points[{}]"
     check_clearance(region, formation.points_enu_m, names, "scale the formation up", f"{source}: {at}".rstrip(": "))
     radius = spec.avoidance.radius_m
-    for i, j in itertools.combinations(range(formation.size), 2):
+    for i, j in near_pairs(formation.points_enu_m, 1.01 * radius):
         distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
         if distance <= radius:
             raise UserError(

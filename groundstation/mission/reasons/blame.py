@@ -71,7 +71,7 @@ def still_flying(fleet: Fleet, plan: MissionPlan, flying: BoolArray, now_ns: int
     for vehicle in np.flatnonzero(flying).tolist():
         mode = plan.autopilots[vehicle].mode_name(int(fleet.custom_mode[vehicle]))
         known = not stale[vehicle] and fleet.landed_state[vehicle] != 0
-        alike.setdefault((mode, bool(known)), []).append(str(fleet.sysid[vehicle]))
+        alike.setdefault((mode, bool(known)), []).append(str(fleet.ids[vehicle]))
     for (mode, known), names in alike.items():
         if len(names) <= _IN_FULL:
             words = "is still in the air, in {}" if known else "may still be in the air, in {} when last told"
