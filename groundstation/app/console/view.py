@@ -173,7 +173,7 @@ class TeamView:
                             self._figures[name] = ui.label("-").props(named(prefix + name))
                 self._reason = ui.label().classes("text-sm font-bold").props(named(prefix + "reason"))
                 self._news = ui.log(max_lines=_LINES).classes("w-full h-40 text-xs")
-                self._news.style("white-space: pre-wrap").props(named(prefix + "notes"))
+                self._news.props(named(prefix + "notes"))
         self._map_place = ui.column().classes("w-full")
         self.timeline = ui.echart(timeline_options([], [], 0.0, 1.0)).classes("w-full h-28")
         self.timeline.props(named(prefix + "timeline"))
@@ -245,7 +245,8 @@ class TeamView:
         new = notes[self._told :]
         self._told = len(notes)
         for t_s, kind, text in new[-_LINES:]:
-            self._news.push(f"{t_s:8.2f} s  {kind:5}  {text}", classes="font-bold" if kind == "alarm" else "")
+            bold = " font-bold" if kind == "alarm" else ""
+            self._news.push(f"{t_s:8.2f} s  {kind:5}  {text}", classes=f"whitespace-pre-wrap{bold}")
         return sum(kind == "alarm" for _, kind, _ in new)
 
     def time_goes(self, phases: Sequence[tuple[str, float, float]], marks: Sequence[Mark], end_s: float) -> None:
