@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 
 from groundstation.gateway.measured import Pose, charge, external_pose, read_pose
-from groundstation.gateway.orders import ExternalPose, LogRate, Order, Ping, Place, SetParam
+from groundstation.gateway.orders import ExternalPose, LogRate, Order, Ping, Place, Recover, SetParam
 from groundstation.gateway.params import ParamServer
 from groundstation.gateway.pilot import SECOND_NS, Mode, Pilot
 from groundstation.gateway.quality import LinkQuality
@@ -260,6 +260,8 @@ class Bridge:
             return self._say(pilot.land(now_ns))
         if command == 176:
             return self._mode(params, now_ns)
+        if command == 246 and params[0] == 1.0:
+            return self._recover()
         if command == 401:
             trouble = self.trouble(now_ns)
             if trouble is not None:
@@ -281,6 +283,18 @@ class Bridge:
         if params[0] != 0.0:
             return DENIED
         return self._say(None if self.pilot.disarm() else "is in the air, and disarms by force only")
+
+    def _recover(self) -> int:
+        """Begins anew after a crash, on the ground; the rest of a restart takes a hand at its switch."""
+        told = self.pilot.supervisor
+        if told.flies:
+            return self._say("is in the air")
+        if told.locked:
+            return self._say("is locked, which only its switch ends; look at it, then switch it off and on")
+        if told.tumbled:
+            return self._say("lies on its side or back; stand it upright")
+        self.pilot.orders.append(Recover())
+        return ACCEPTED
 
     def _mode(self, params: tuple[float, ...], now_ns: int) -> int:
         mode = params[1]

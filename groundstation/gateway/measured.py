@@ -118,7 +118,7 @@ class Supervisor:
         if self.locked:
             return "locked by its supervisor, its motors stay off; look at it, then switch it off and on"
         if self.crashed:
-            return "crashed, by its own report; look at it, stand it upright, then switch it off and on"
+            return "crashed, by its own report; look at it, stand it upright, then restart it by a ground station"
         if self.tumbled:
             return "tumbled: lies on its side or back; stand it upright"
         if not (self.can_fly or self.can_be_armed):

@@ -71,6 +71,11 @@ class Arm:
 
 
 @dataclass(frozen=True)
+class Recover:
+    """After a crash, once it stands upright: the supervisor begins anew. One that is locked stays so."""
+
+
+@dataclass(frozen=True)
 class EmergencyStop:
     """Motors off at once; the vehicle is locked until it is restarted."""
 
@@ -121,6 +126,7 @@ Order = (
     | GoTo
     | HighLevelStop
     | Arm
+    | Recover
     | EmergencyStop
     | SetParam
 )

@@ -21,6 +21,7 @@ from groundstation.gateway.orders import (
     LogRate,
     Order,
     Ping,
+    Recover,
     SetParam,
     SetpointsStop,
     TakeOff,
@@ -112,6 +113,8 @@ def packet_of(order: Order, numbers: Mapping[str, tuple[int, int]]) -> bytes | N
             return packet(_HIGH_LEVEL, 0, struct.pack("<BB", _STOP, 0))
         case Arm(arm):
             return packet(_SUPERVISOR, 1, struct.pack("<B?", 1, arm))
+        case Recover():
+            return packet(_SUPERVISOR, 1, b"\x02")
         case EmergencyStop():
             return packet(_SUPERVISOR, 1, b"\x03")
         case ExternalPose(place, quat):

@@ -13,8 +13,10 @@ from groundstation.core import frames
 from groundstation.gateway.bridge import Bridge
 from groundstation.gateway.measured import POSE_VARIABLES, charge, quat_ned_from_frd, unpacked_quaternion
 from groundstation.gateway.names import short_names
-from groundstation.gateway.orders import EmergencyStop
+from groundstation.gateway.orders import EmergencyStop, Recover
+from groundstation.gateway.packets import packet_of
 from groundstation.gateway.stamps import Stamps
+from groundstation.mavlink.codec import Encoder, Frame, FrameSplitter, decode
 from sitl.personalities.crazyflie.crtp import packed_quaternion
 from tests.gateway.room import HOLD, LAND, VELOCITY, Room
 
@@ -311,3 +313,23 @@ def test_nobody_holds_or_returns_by_an_estimate_that_nobody_corrects() -> None:
     room.run(1.2)
     assert room.bridge.pilot.mode == LAND
     assert "it lands where it is" in room.texts()
+
+
+@pytest.mark.parametrize(
+    ("bits", "words"),
+    [(0x80, None), (0x80 | 0x20, "stand it upright"), (0x40, "only its switch ends"), (0x1A, "is in the air")],
+)
+def test_one_that_has_crashed_begins_anew_where_it_stands_upright(bits: int, words: str | None) -> None:
+    bridge, encoder = Bridge(1, 0), Encoder(255, 190)
+    bridge.connected(12, {})
+    pose = dict.fromkeys((f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")), 0.0)
+    bridge.logged(pose | {"supervisor.info": float(bits)}, 10, 1)
+    bridge.take_orders()
+    bridge.receive(encoder.encode("COMMAND_LONG", target_system=1, command=246, param1=1.0), 2)
+    frames = [piece for raw in bridge.take_frames() for piece in FrameSplitter().feed(raw) if isinstance(piece, Frame)]
+    told = {batch.name: batch.values for batch in decode(frames)}
+    assert int(told["COMMAND_ACK"]["result"][0]) == (0 if words is None else 2)
+    assert (Recover() in bridge.take_orders()) == (words is None)
+    if words is not None:
+        assert words in b"".join(bytes(text) for text in told["STATUSTEXT"]["text"]).decode()
+    assert packet_of(Recover(), {}) == b"\x9d\x02"  # supervisor port, channel 1, CMD_RECOVER_SYSTEM
