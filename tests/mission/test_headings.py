@@ -19,13 +19,16 @@ class Flown:
     def __init__(self, turns_deg: list[float], *, seed: int, lag_s: float = 0.2, wind_m_s: float = 0.0) -> None:
         self.scene = Scene("limits.tracking_m_s=5")
         self._rng = np.random.default_rng(seed)
-        turns = np.radians(turns_deg)
-        self._turn: FloatArray = np.array(
-            [[[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]] for a in turns]
-        )
+        self._turn: FloatArray = np.zeros((8, 3, 3))
+        for vehicle, degrees in enumerate(turns_deg):
+            self.turn(vehicle, degrees)
         self._lag_s, self._wind_m_s = lag_s, wind_m_s
         self._air: FloatArray = np.zeros((8, 3))
         self._vel: FloatArray = np.zeros((8, 3))
+
+    def turn(self, vehicle: int, degrees: float) -> None:
+        cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        self._turn[vehicle] = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
 
     def step(self) -> None:
         scene, rng = self.scene, self._rng
@@ -91,3 +94,13 @@ def test_who_was_found_is_told_everything_turned_back_and_the_others_as_ever() -
     degrees = float(np.degrees(np.arctan2(told[2, 1], told[2, 0])))
     assert degrees == pytest.approx(-60.0, abs=15.0)
     assert np.linalg.norm(told[2]) == pytest.approx(np.linalg.norm(wanted[2]))
+
+
+def test_who_is_not_turned_any_more_or_never_was_gets_its_setpoints_straight_again() -> None:
+    """Otherwise one wrong judgement would turn a healthy vehicle's setpoints for the rest of the flight."""
+    flown = Flown([0.0, 0.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0], seed=3)
+    assert flown.told(8.0)
+    flown.turn(2, 0.0)
+    flown.told(12.0)
+    wanted = np.tile([0.3, 0.0, -0.1], (8, 1))
+    np.testing.assert_allclose(flown.scene.monitor.told(wanted), wanted, atol=0.3 * np.sin(np.radians(15.0)))

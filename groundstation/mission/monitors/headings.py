@@ -81,12 +81,15 @@ class Headings:
         self._told = np.where(fresh, 0.0, self._told + share * (told_square - self._told))
         self._flown = np.where(fresh, 0.0, self._flown + share * (flown_square - self._flown))
         self._both = np.where(fresh[:, None], 0.0, self._both + share * (both - self._both))
-        off = self._turned()
+        clear = self._clear()
+        off = clear & self._turned()
         news = self._off(off, sight.now_ns)
-        if not some(off):
+        found = clear & (self.turn_rad != 0.0)
+        if not some(off | found):
             return
         angle_rad = np.arctan2(self._both[:, 1], self._both[:, 0])
-        self.turn_rad = np.where(off & (self.turn_rad != 0.0), angle_rad, self.turn_rad)
+        # Also where it is not off by that much, or not any more: whoever was taken for turned and is not is believed.
+        self.turn_rad = np.where(found, angle_rad, self.turn_rad)
         for vehicle in news:
             self.turn_rad[vehicle] = angle_rad[vehicle]
             degrees = math.degrees(angle_rad[vehicle])
@@ -110,11 +113,15 @@ class Headings:
         north, east, down = velocity_ned_m_s.T
         return np.stack([cos * north - sin * east, sin * north + cos * east, down], axis=1)
 
-    def _turned(self) -> BoolArray:
-        """Whose motion is what it was told, turned by more than the limit, shape (n,)."""
+    def _clear(self) -> BoolArray:
+        """Whose motion is what it was told, turned by some angle, shape (n,)."""
         length = np.hypot(self._both[:, 0], self._both[:, 1])
         moves = self._told > _LEAST_M_S**2
         gain = length / np.maximum(self._told, 1e-9)
         explained = length**2 / np.maximum(self._told * self._flown, 1e-12)
-        turned = self._both[:, 0] < math.cos(_LIMIT_RAD) * length
-        return np.asarray(moves & turned & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)
+        return np.asarray(moves & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)
+
+    def _turned(self) -> BoolArray:
+        """Whose motion points more than the limit away from what it was told, shape (n,)."""
+        length = np.hypot(self._both[:, 0], self._both[:, 1])
+        return np.asarray(self._both[:, 0] < math.cos(_LIMIT_RAD) * length, dtype=np.bool_)
