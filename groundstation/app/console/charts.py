@@ -33,7 +33,7 @@ def chart_options(
     label = {"formatter": "r", "position": "insideEndTop", "color": VERMILION}
     across = [{"yAxis": limit, "label": label}] if np.isfinite(limit) else []
     return {
-        "title": {"text": title if len(known) else f"{title}: not known here", "top": 2, "textStyle": _TITLE},
+        "title": {"text": title if len(known) else f"{title}: unknown", "top": 2, "textStyle": _TITLE},
         "grid": {"top": 32, "bottom": 25, "left": 45, "right": 25},
         "xAxis": {"type": "value", "scale": True, "name": "s", **_AXIS},
         "yAxis": {"type": "value", "min": 0, **_AXIS},

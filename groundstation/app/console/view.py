@@ -47,7 +47,7 @@ _FIGURES = (
 """Words for people, and the name that the answer of ``gs fly --json`` has for it."""
 FIGURE_NAMES = tuple(name for _, name in _FIGURES)
 _CHARTS = (
-    ("distances of pairs, the smallest in blue, m", BLUE),
+    ("distances of pairs, m (smallest: blue)", BLUE),
     ("largest error of the formation, m", GREEN),
     ("ticks sent late by, ms", SKY),
     ("frames lost on the worst link, %", ORANGE),
