@@ -29,8 +29,12 @@ from groundstation.core.types import ComplexArray, FloatArray
 from groundstation.design.certify import RESIDUAL_LIMIT, BlockCertificate, Certificate, certify, faults
 from groundstation.design.problem import SPECTRAL_NORM, Matrix
 
-FILE_VERSION = 1
+FILE_VERSION, SPARSE_VERSION = 1, 2
+"""Layouts of a gains file: whole matrices; or of large sparse graphs the entries on the edges alone, without duals."""
+SPARSE_MIN = 128
+"""Agents above which gains without a dual are stored by their edges."""
 _MEMBERS_MAX = 32
+_SPARSE_MAX = 2_000  # agents: as many as a formation file may have
 _BYTES_MAX = 1 << 28  # unpacked; a thousand agents need 48 MB
 CLAIM_TOLERANCE = 1e-6
 """Stored eigenvalues may differ from recomputed ones by this much of the spectral norm, and so may that itself."""
@@ -196,6 +200,11 @@ def save_gains(
         "method": np.array(method),
         "version": np.array(FILE_VERSION),
     }
+    if formation.size > SPARSE_MIN and not members["dual_xy"].any() and not members["dual_z"].any():
+        first, second = members["edges"].T - 1
+        members["edges"] = members["edges"].astype(np.uint16)
+        members |= {"xy": gains.xy[first, second], "z": gains.z[first, second], "version": np.array(SPARSE_VERSION)}
+        del members["dual_xy"], members["dual_z"]
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name, values in members.items():
@@ -266,12 +275,37 @@ def _read_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[np.g
     return values
 
 
+def _spread(arrays: dict[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
+    """Whole matrices of entries on the edges: Hermitian, the diagonal minus the row sums, and no dual."""
+    n, edges = len(np.atleast_1d(arrays["points"])), _numbers(arrays, "edges", (-1, 2)).astype(np.int64) - 1
+    if edges.size and not (edges.min() >= 0 and edges.max() < n and bool((edges[:, 0] != edges[:, 1]).all())):
+        raise ValueError("array edges names an agent that does not exist")
+    if n > _SPARSE_MAX:
+        raise ValueError(f"array points has {n} agents, limit {_SPARSE_MAX}")
+    whole: dict[str, NDArray[np.generic]] = {}
+    for name in ("xy", "z"):
+        entries = arrays[name]
+        if entries.shape != (len(edges),) or entries.dtype.kind not in ("fiuc" if name == "xy" else "fiu"):
+            raise ValueError(f"array {name} is {entries.shape} of {entries.dtype}, expected a number for each edge")
+        matrix = np.zeros((n, n), dtype=np.complex128 if name == "xy" else np.float64)
+        matrix[edges[:, 0], edges[:, 1]] = entries
+        matrix[edges[:, 1], edges[:, 0]] = np.conj(entries)
+        matrix[np.diag_indices(n)] = -matrix.sum(axis=1).real
+        whole[name] = matrix
+        whole[f"dual_{name}"] = np.zeros((n, n), dtype=matrix.dtype)
+    return {**arrays, **whole, "version": np.array(FILE_VERSION)}
+
+
 def _unpack(path: Path, arrays: dict[str, NDArray[np.generic]]) -> StoredGains:
+    if {"points", "edges", "xy", "z", "version"} <= set(arrays) and arrays["version"] == SPARSE_VERSION:
+        arrays = _spread(arrays)
     for name in ("xy", "z", "points", "edges", "certificate", "dual_xy", "dual_z", "method", "version"):
         if name not in arrays:
             raise ValueError(f"array {name} is missing")
     if int(_numbers(arrays, "version", ())) != FILE_VERSION:
-        raise ValueError(f"version {arrays['version']} is unknown, this program writes {FILE_VERSION}")
+        raise ValueError(
+            f"version {arrays['version']} is unknown, this program reads {FILE_VERSION} and {SPARSE_VERSION}"
+        )
     n = len(np.atleast_1d(arrays["points"]))
     edges = _numbers(arrays, "edges", (-1, 2))
     if edges.size and (np.any(edges != np.round(edges)) or edges.min() < 1 or edges.max() > n):

@@ -13,7 +13,9 @@ from groundstation.app.resources import packaged_configs
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
 from groundstation.design.certify import certify
+from groundstation.design.common_shapes import points_of
 from groundstation.design.designer import design
+from groundstation.design.mesh import mesh
 from groundstation.design.store import StoredGains, check_gains, load_formation, load_gains, save_gains
 
 CUBE = packaged_configs() / "formations" / "cube8.yaml"
@@ -260,3 +262,30 @@ def test_formation_files_are_read_as_strictly_as_missions(text: str, message: st
     with pytest.raises(UserError, match=r"formation\.yaml") as caught:
         load_formation(path)
     assert message in str(caught.value)
+
+
+def test_gains_of_a_large_sparse_graph_are_stored_by_their_edges_and_checked_as_all_others(tmp_path: Path) -> None:
+    formation = mesh(Formation("cube", points_of("cube", 150), ((0, 1),)))
+    result = design(formation, method="triangles")
+    assert result.gains is not None
+    assert result.certificate is not None
+    path = tmp_path / "gains.npz"
+    save_gains(path, formation, result.gains, result.certificate, result.method)
+    assert path.stat().st_size < 80_000  # whole matrices and duals take 160,000
+    stored = load_gains(path)
+    np.testing.assert_allclose(stored.gains.xy, result.gains.xy, atol=1e-13)
+    np.testing.assert_allclose(stored.gains.z, result.gains.z, atol=1e-13)
+    certificate = check_gains(stored, formation)
+    assert certificate.xy.slowest == pytest.approx(result.certificate.xy.slowest, rel=1e-6)
+    arrays = dict(np.load(path))
+    for name, wrong in (
+        ("xy", arrays["xy"][:-1]),
+        ("z", arrays["z"].astype(np.complex128)),
+        ("edges", arrays["edges"] + 150),
+    ):
+        np.savez(tmp_path / "wrong.npz", **{**arrays, name: wrong})
+        with pytest.raises(UserError, match=f"not a gains file: array {name}"):
+            load_gains(tmp_path / "wrong.npz")
+    np.savez(tmp_path / "wrong.npz", **{**arrays, "xy": 1.1 * arrays["xy"]})
+    with pytest.raises(UserError, match="the file was altered"):
+        check_gains(load_gains(tmp_path / "wrong.npz"), formation)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.core.types import BoolArray, FloatArray
+from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
 from groundstation.mavlink.vehicle import AUTOPILOT_COMPID, HEARTBEAT_PATIENCE, LANDED_ON_GROUND, NEVER
@@ -43,6 +43,9 @@ _ROUND_TRIP_CALM = 0.25
 are told: cube8 formed at 0.35 of it and swung, never within its tolerance, at 0.5."""
 
 
+_AT_ONCE = 128  # vehicles that are looked at in one tick
+
+
 @dataclass
 class GroundState:
     """What stands between the team and arming, a line for each vehicle.
@@ -56,6 +59,54 @@ class GroundState:
     waiting: list[str] = field(default_factory=list)
     fatal: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Found(GroundState):
+    """What was found of one vehicle when it was looked at last.
+
+    Attributes:
+        grave: told when nothing else is waited for.
+        checked: nothing of it is waited for.
+    """
+
+    grave: list[str] = field(default_factory=list)
+    checked: bool = False
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """What a look at a vehicle needs of this tick; see ``Preflight.step``."""
+
+    now_ns: int
+    said: Mapping[int, str]
+    pose_ns: IntArray
+    off_m: FloatArray
+    drift_m: FloatArray
+    positions: FloatArray
+
+
+class _Looks:
+    """Whose turn it is: of a large team so many are looked at in a tick.
+
+    Attributes:
+        found: what was found of each vehicle.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.found = [_Found() for _ in range(n)]
+        self._turns, self._turn = -(-n // _AT_ONCE), 0
+
+    def due(self) -> range:
+        """Vehicles that are looked at in this tick."""
+        self._turn = (self._turn + 1) % self._turns
+        return range(self._turn, len(self.found), self._turns)
+
+    def others(self) -> list[int]:
+        """Those who are not, where nothing is missing by the last looks: that is said of one tick alone."""
+        if self._turns == 1 or any(found.waiting or found.fatal for found in self.found):
+            return []
+        return [vehicle for vehicle in range(len(self.found)) if vehicle % self._turns != self._turn]
 
 
 class _Reasons:
@@ -110,7 +161,7 @@ class Preflight:
         self._noted: set[str] = set()
         self._told_slow: BoolArray = np.zeros(plan.size, dtype=np.bool_)
         self._any_armed = Held()
-        self._checked = [False] * plan.size
+        self._looks = _Looks(plan.size)
         self._origins = Origins(plan, station, frame)
         self.checks = Checks(plan, station, look_only=look_only)
         self._motion = MotionCheck(plan, station.fleet)
@@ -133,69 +184,81 @@ class Preflight:
         # A place that is in doubt accuses nobody else.
         doubted = self._origins.doubted(now_ns)
         positions = np.where(doubted[:, None], np.nan, pos_team_ned_m)
-        self._checked = [False] * self._plan.size
+        sight = _Sight(now_ns, said, pose_ns, off_m, drift_m, positions)
+        for vehicle in self._looks.due():
+            self._look(vehicle, sight)
+        for vehicle in self._looks.others():
+            self._look(vehicle, sight)
         held: list[str] = []  # told together, when nothing else is waited for
         if (team := self.checks.team_problem()) is not None:
             held.append(f"mission: {team}")
-        for vehicle, spec in enumerate(self._plan.spec.vehicles):
-            name = f"vehicle {spec.id}"
-            twin = fleet.twin(vehicle, now_ns)
-            if twin is not None:
-                state.fatal.append(
-                    f"{name}: {twin}; give each vehicle its own id (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)"
-                )
-                continue
-            self._tell_part(vehicle, now_ns, state)
-            if fleet.heartbeat_ns[vehicle] == NEVER:
-                if fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
-                    state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
-                else:  # it is there, and what its link cannot carry may be the very heartbeats
-                    self.streams.ask(vehicle, now_ns, int(pose_ns[vehicle]), every=True)
-                    state.waiting.append(f"{name}: {self.streams.no_heartbeat_words(vehicle)}")
-                continue
-            autopilot = self._plan.autopilots[vehicle]
-            if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
-                state.fatal.append(
-                    f"{name}: its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}, {spec.autopilot} is"
-                    f" {autopilot.mav_autopilot}; correct vehicles[{vehicle}].autopilot"
-                )
-                continue
-            if (kind := unflown_words(int(fleet.mav_type[vehicle]))) is not None:
-                state.fatal.append(f"{name}: {kind}; correct its type or frame, or take it out of the mission")
-                continue
-            if fleet.armed.any():  # then nothing is asked of the others, and nothing set
-                if fleet.armed[vehicle]:
-                    self._armed(vehicle, now_ns, state)
-                continue
-            self.streams.ask(vehicle, now_ns, int(pose_ns[vehicle]))
-            self._origins.ask(vehicle, now_ns)
-            self.checks.ask(vehicle, now_ns)
-            problem = (
-                self._deaf(vehicle, now_ns)
-                or (None if fleet.room is None else fleet.room.words(vehicle, now_ns))
-                or self._heard(vehicle, now_ns, int(pose_ns[vehicle]))
-                or self._readiness(vehicle, now_ns, said)
-                or self._clock(vehicle, now_ns, state)
-                or self._place(vehicle, now_ns, (float(off_m[vehicle]), float(drift_m[vehicle])), positions, state)
-                or self._motion.words(vehicle)
-                or self.checks.waiting(vehicle, now_ns, positions)
-            )
-            held += [f"{name}: {text}" for text in self.checks.grave(vehicle)]
-            state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
-            far = self._origins.far_away(vehicle)
-            if far is not None:
-                state.fatal.append(f"{name}: {far}")
-            self._checked[vehicle] = problem is None
-            if problem is not None:
-                state.waiting.append(f"{name}: {problem}")
-            slow = self.streams.slow_words(vehicle)
-            if slow is not None:
-                state.notes.append(f"{name}: {slow}")
+        for found in self._looks.found:
+            state.waiting += found.waiting
+            state.fatal += found.fatal
+            state.notes += found.notes
+            held += found.grave
         (state.waiting if state.waiting else state.fatal).extend(held)
         state.notes += self.checks.team_notes()
         state.notes = [note for note in state.notes if note not in self._noted]
         self._noted.update(state.notes)
         return state
+
+    def _look(self, vehicle: int, sight: _Sight) -> None:
+        """Asks one vehicle for what is missing, and keeps what is found."""
+        fleet, spec, now_ns = self._station.fleet, self._plan.spec.vehicles[vehicle], sight.now_ns
+        state = self._looks.found[vehicle] = _Found()
+        name, pose_ns = f"vehicle {spec.id}", int(sight.pose_ns[vehicle])
+        twin = fleet.twin(vehicle, now_ns)
+        if twin is not None:
+            state.fatal.append(f"{name}: {twin}; give each vehicle its own id (MAV_SYS_ID, MAV_SYSID, SYSID_THISMAV)")
+            return
+        self._tell_part(vehicle, now_ns, state)
+        if fleet.heartbeat_ns[vehicle] == NEVER:
+            if fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
+                state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
+            else:  # it is there, and what its link cannot carry may be the very heartbeats
+                self.streams.ask(vehicle, now_ns, pose_ns, every=True)
+                state.waiting.append(f"{name}: {self.streams.no_heartbeat_words(vehicle)}")
+            return
+        autopilot = self._plan.autopilots[vehicle]
+        if fleet.autopilot[vehicle] != autopilot.mav_autopilot:
+            state.fatal.append(
+                f"{name}: its heartbeat says MAV_AUTOPILOT {fleet.autopilot[vehicle]}, {spec.autopilot} is"
+                f" {autopilot.mav_autopilot}; correct vehicles[{vehicle}].autopilot"
+            )
+            return
+        if (kind := unflown_words(int(fleet.mav_type[vehicle]))) is not None:
+            state.fatal.append(f"{name}: {kind}; correct its type or frame, or take it out of the mission")
+            return
+        if fleet.armed.any():  # then nothing is asked of the others, and nothing set
+            if fleet.armed[vehicle]:
+                self._armed(vehicle, now_ns, state)
+            return
+        self.streams.ask(vehicle, now_ns, pose_ns)
+        self._origins.ask(vehicle, now_ns)
+        self.checks.ask(vehicle, now_ns)
+        off_m = float(sight.off_m[vehicle]), float(sight.drift_m[vehicle])
+        problem = (
+            self._deaf(vehicle, now_ns)
+            or (None if fleet.room is None else fleet.room.words(vehicle, now_ns))
+            or self._heard(vehicle, now_ns, pose_ns)
+            or self._readiness(vehicle, now_ns, sight.said)
+            or self._clock(vehicle, now_ns, state)
+            or self._place(vehicle, now_ns, off_m, sight.positions, state)
+            or self._motion.words(vehicle)
+            or self.checks.waiting(vehicle, now_ns, sight.positions)
+        )
+        state.grave = [f"{name}: {text}" for text in self.checks.grave(vehicle)]
+        state.notes += [f"{name}: {text}" for text in self.checks.notes(vehicle, now_ns)]
+        far = self._origins.far_away(vehicle)
+        if far is not None:
+            state.fatal.append(f"{name}: {far}")
+        state.checked = problem is None
+        if problem is not None:
+            state.waiting.append(f"{name}: {problem}")
+        slow = self.streams.slow_words(vehicle)
+        if slow is not None:
+            state.notes.append(f"{name}: {slow}")
 
     def rows(self, problems: Sequence[str], now_ns: int) -> list[CheckRow]:
         """What was found, a row for each vehicle."""
@@ -206,7 +269,7 @@ class Preflight:
             self._frame,
             self.checks,
             rates_hz=rates_hz,
-            checked=self._checked,
+            checked=[found.checked for found in self._looks.found],
             problems=problems,
             now_ns=now_ns,
         )

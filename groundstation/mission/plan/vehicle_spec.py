@@ -17,11 +17,11 @@ VEHICLE_IDS = range(1, 10_000)
 _COUNT_MAX = 2_000  # as many as a formation may have points
 
 
-class _Strict(BaseModel):
+class _Forbidding(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class VehicleSpec(_Strict):
+class VehicleSpec(_Forbidding):
     """One vehicle, its pad, and where its position counts from."""
 
     id: Annotated[int, BeforeValidator(no_boolean), Field(ge=VEHICLE_IDS[0], le=VEHICLE_IDS[-1])]
@@ -48,7 +48,7 @@ class VehicleSpec(_Strict):
         return self
 
 
-class PadGridSpec(_Strict):
+class PadGridSpec(_Forbidding):
     """Pads in rows from west to east, the rows from south to north."""
 
     columns: Annotated[int, BeforeValidator(no_boolean), Field(ge=1, le=_COUNT_MAX)]
@@ -71,7 +71,7 @@ class PadGridSpec(_Strict):
         ]
 
 
-class TeamSpec(_Strict):
+class TeamSpec(_Forbidding):
     """Vehicles that are alike: how many, on which pads, behind which links."""
 
     count: Annotated[int, BeforeValidator(no_boolean), Field(ge=1, le=_COUNT_MAX)]
