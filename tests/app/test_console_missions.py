@@ -55,7 +55,7 @@ def test_what_is_wrong_is_told_by_the_key_of_its_field(draft: Draft) -> None:
     for place, text in (
         (("speed_limit_m_s",), "fast"),
         (("steps", 0, "form", "tolerance_m"), "-1"),
-        (("vehicles", 2, "id"), "300"),
+        (("vehicles", 2, "id"), "70000"),
         (("wind", "mean_m_s"), "99"),
     ):
         draft.put(place, text)
@@ -104,6 +104,12 @@ def test_gains_belong_to_a_shape_and_are_designed_anew(draft: Draft, tmp_path: P
     assert (tmp_path / "mission.schema.json").is_file()
     again = Draft(path)  # what was saved is opened again as it was
     assert (again.points, again.edges, again.has_gains) == (draft.points, draft.edges, True)
+
+
+def test_vehicles_in_the_short_form_have_their_fields(draft: Draft) -> None:
+    draft.values["vehicles"] = {"count": 8, "pads": {"spacing_m": 1.0}, "links": ["udpin://127.0.0.1:14540"]}
+    keys = {entry.key: entry.given for entry in entries(form_of(SCHEMA, draft.values))}
+    assert (keys["vehicles.count"], keys["vehicles.pads.spacing_m"], draft.vehicles) == ("8", "1.0", 8)
 
 
 def test_points_come_and_go_with_their_edges(draft: Draft) -> None:

@@ -90,9 +90,10 @@ class Draft:
 
     @property
     def vehicles(self) -> int:
-        """How many the mission has."""
+        """How many the mission has; 0 where it does not say so."""
         vehicles = self.values.get("vehicles")
-        return len(vehicles) if isinstance(vehicles, list) else 0
+        count = vehicles.get("count") if isinstance(vehicles, dict) else None  # the short form
+        return len(vehicles) if isinstance(vehicles, list) else count if isinstance(count, int) else 0
 
     @property
     def name(self) -> str:

@@ -137,7 +137,7 @@ class _Maker:
         return Section(place, name, str(schema.get("description") or ""), tuple(parts))
 
     def _part(self, place: Place, name: str, schema: object, given: object, *, needed: bool) -> Entry | Section:
-        of = self._followed(schema)
+        of = self._fitting(self._followed(schema), given)
         words = str(of.get("description") or "")
         items = self._followed(of.get("items"))
         if "properties" in of and (given is None or isinstance(given, Mapping)):
@@ -162,6 +162,15 @@ class _Maker:
             choices,
             needed,
         )
+
+    def _fitting(self, of: dict[str, object], given: object) -> dict[str, object]:
+        """Of several forms that a key may have, that of what is given: a list, or keys."""
+        wanted = "items" if isinstance(given, list) else "properties" if isinstance(given, Mapping) else None
+        kinds = of.get("anyOf")
+        for kind in kinds if isinstance(kinds, list) else ():
+            if wanted is not None and wanted in (found := self._followed(kind)):
+                return found | of
+        return of
 
     def _kind(self, items: Mapping[str, object], item: object) -> Mapping[str, object]:
         """The schema of one item, where it is one of several kinds: that whose key it has."""
