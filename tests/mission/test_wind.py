@@ -79,8 +79,9 @@ class Windy(Scene):
 
         def blow() -> None:
             told: FloatArray = np.clip(-0.5 * (self.team.pos + self.team.vel), -0.5, 0.5)
-            self.sent = told.copy()
+            self.sent = told = self.monitor.told(told).copy()
             if not self.obeys:
+                told = told.copy()
                 told[0] = [0.45, 0.0, 0.0]  # goes its own way, by its own motors
             self.team.step(told)
             down = self.team.down_ned

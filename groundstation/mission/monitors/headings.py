@@ -25,6 +25,7 @@ _FORGETS_S = 1.0
 _NEW_IN_AIR_S = 1.0
 _LIMIT_RAD = math.radians(45.0)
 _LASTS_S = 0.2
+_APART_RAD = math.radians(40.0)
 _LEAST_M_S = 0.1
 """Root mean square of what was told over the memory: below that a turn is not told from noise."""
 _COHERENT = 0.85
@@ -57,7 +58,7 @@ class Headings:
         self._both: FloatArray = np.zeros((n, 2))
         self._steered_s: FloatArray = np.zeros(n)
         self._since_before = SinceBefore(0)
-        self._off = Lasting(n, _LASTS_S)
+        self._off, self._other = Lasting(n, _LASTS_S), Lasting(n, _LASTS_S)
         self.turn_rad: FloatArray = np.zeros(n)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
@@ -86,10 +87,15 @@ class Headings:
         news = self._off(off, sight.now_ns)
         found = clear & (self.turn_rad != 0.0)
         if not some(off | found):
+            self._other(found, sight.now_ns)
             return
         angle_rad = np.arctan2(self._both[:, 1], self._both[:, 0])
-        # Also where it is not off by that much, or not any more: whoever was taken for turned and is not is believed.
-        self.turn_rad = np.where(found, angle_rad, self.turn_rad)
+        # Told everything turned back, a vehicle with a wrong north goes on flying turned by as much. One that does not
+        # was never turned, is not any more, or goes its own way, which is for others to find.
+        apart_rad = np.abs(np.mod(angle_rad - self.turn_rad + math.pi, 2.0 * math.pi) - math.pi)
+        for vehicle in self._other(found & (apart_rad > _APART_RAD), sight.now_ns):
+            self.turn_rad[vehicle] = 0.0
+        self.turn_rad = np.where(found & (apart_rad <= _APART_RAD), angle_rad, self.turn_rad)
         for vehicle in news:
             self.turn_rad[vehicle] = angle_rad[vehicle]
             degrees = math.degrees(angle_rad[vehicle])
