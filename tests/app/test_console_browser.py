@@ -22,7 +22,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from groundstation.mission.plan.reading import load_mission
-from tests.app.browser import SOFTWARE_GL, Tab, chromium, opened
+from tests.app.browser import PATIENCE_MS, SOFTWARE_GL, Tab, chromium, opened
 
 GS = (sys.executable, "-m", "groundstation")
 FLIGHT = "fly --mission cube8 --dry-run --realtime --console --wait --seed 1 --json --set steps.1.hold.seconds=120"
@@ -191,6 +191,7 @@ def nobody_else_gets_in(browser: Browser, operator: str, viewer: str) -> None:
     base = operator.partition("/flat")[0]
     socket = base.replace("http", "ws") + "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
     with browser.new_context() as context:
+        context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
         answer = page.goto(base)
         assert answer is not None
