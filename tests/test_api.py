@@ -108,7 +108,7 @@ def _flight() -> Any:
     from types import SimpleNamespace
 
     track = SimpleNamespace(
-        sysid=4,
+        id=4,
         t_ns=np.array([5, 6]),
         pos_team_enu_m=np.zeros((2, 3)),
         setpoint_t_ns=np.array([7]),

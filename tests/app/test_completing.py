@@ -70,7 +70,7 @@ _LINES = {
     "gs command hold ": set[str](),
     "gs new ": {"formation", "law"},
     "gs new formation ": {*SHAPES, "p.csv", "s.skyc", "flights/"},
-    "gs new formation ring --graph ": {"complete", *SHARE},
+    "gs new formation ring --graph ": {"complete", "mesh", *SHARE},
     "gs report cube8-seed": {"cube8-seed0", "cube8-seed1"},
     "gs replay flights/": {"flights/cube8-seed0.tlog", "flights/cube8-seed1.tlog"},
     "gs compare old.tlog o": {"old.tlog"},

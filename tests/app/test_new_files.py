@@ -108,7 +108,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("ring", None, "--agents: say how many"),
         ("ring -n 1", None, "--agents 1: must be 2 to 2000"),
         ("ring -n 4 --spacing 0", None, "--spacing 0: must be more than 0 m"),
-        ("ring -n 4 --graph star", None, "--graph star: unknown, did you mean sparse? known are complete, sparse"),
+        (
+            "ring -n 4 --graph star",
+            None,
+            "--graph star: unknown, did you mean sparse? known are complete, mesh, sparse",
+        ),
         ("p.csv", None, "p.csv: cannot be read"),
         ("p.csv", "0,0,0\n1,nan,0\n", "p.csv: line 2: expected three finite numbers"),
         ("p.csv", "0,0,0\n1,1\n", "p.csv: line 2: expected three finite numbers"),

@@ -268,7 +268,7 @@ def test_every_value_that_a_vehicle_can_tell_comes_back_from_a_file_as_it_was(
     [
         ("", "holds no parameter"),
         ("1 1 A 1", "line 1: has 4 columns, expected 5"),
-        ("1 1 A 1 6\n0 1 A 1 6", "line 2: vehicle 0, component 1: must be 1 to 255"),
+        ("1 1 A 1 6\n0 1 A 1 6", "line 2: vehicle 0, component 1: must be 1 to 9999 and 0 to 255"),
         ("1 1 A x 6", "could not convert string to float"),
         ("1 1 A nan 9", "A: value nan of type 9: no number"),
         ("1 1 A 1 77", "no MAV_PARAM_TYPE"),

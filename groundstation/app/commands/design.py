@@ -14,7 +14,7 @@ from groundstation.app.options import ForceOption, JsonOption
 from groundstation.app.output import Output
 from groundstation.core.errors import MissionFailed, UserError
 
-_METHODS = "closed-form", "interior-point", "splitting", "clarabel", "cvxpy"
+_METHODS = "closed-form", "interior-point", "splitting", "clarabel", "cvxpy", "triangles"
 
 
 def design(
