@@ -106,13 +106,17 @@ def _places(schema: dict[str, Any], top: str) -> dict[str, str]:
     while todo:
         _, part, where = todo.pop(0)
         for key, values in inside(part)["properties"].items():
-            listed = "[]" if values.get("type") == "array" else ".NAME" if "additionalProperties" in values else ""
-            for name in _refs(values):
-                if name not in found:
-                    step = next(iter(schema["$defs"][name]["properties"]))
-                    below = f".{step}" if inside(schema["$defs"][name]) is not schema["$defs"][name] else ""
-                    found[name] = f"{where}{key}{listed}{below}"
-                    todo.append((name, schema["$defs"][name], f"{found[name]}."))
+            kinds = values.get("anyOf", [values])
+            also_listed = any(kind.get("type") == "array" for kind in kinds)
+            for kind in kinds:
+                listed = "[]" if kind.get("type") == "array" else ".NAME" if "additionalProperties" in kind else ""
+                for name in _refs(kind):
+                    if name not in found:
+                        step = next(iter(schema["$defs"][name]["properties"]))
+                        below = f".{step}" if inside(schema["$defs"][name]) is not schema["$defs"][name] else ""
+                        place = f"{where}{key}{listed}{below}"
+                        found[name] = place if listed or not also_listed else f"{place} (short form)"
+                        todo.append((name, schema["$defs"][name], f"{place}."))
     return found
 
 
