@@ -57,13 +57,14 @@ def starts(plan: MissionPlan, home: tuple[float, float, float], *, stock: bool =
 
 def _start(plan: MissionPlan, vehicle: int, home: tuple[float, float, float], *, stock: bool) -> Start:
     spec, address = plan.spec.vehicles[vehicle], plan.addresses[plan.link_of_vehicle[vehicle]]
+    sysid = plan.sysids[vehicle]
     lat, lon, alt = (float(value) for value in pymap3d.enu2geodetic(*spec.pad_m, *home))
     simulator = _simulator(plan, vehicle)
     try:
-        instance = simulator.instance(spec.id, vehicle, address.kind, address.port)
+        instance = simulator.instance(sysid, vehicle, address.kind, address.port)
     except ValueError as error:
         raise UserError(f"{plan.source}: vehicles[{vehicle}].link: {address.url}: {error}") from None
-    command = simulator.command(instance, spec.id, (lat, lon, alt), stock=stock)
+    command = simulator.command(instance, sysid, (lat, lon, alt), stock=stock)
     folder = shlex.quote(f"{plan.spec.name}-{spec.id}")
     log = f"{plan.spec.name}-{spec.id}.txt"
     line = f"mkdir -p {folder} && (cd {folder} && {command} < /dev/null > {shlex.quote(f'../{log}')} 2>&1) &"

@@ -350,6 +350,8 @@ def test_what_is_lost_on_a_link_is_counted(lost: list[bool], version: int) -> No
         longest = max((len(list(run)) for gone, run in groupby(known) if gone), default=0)
         assert share == pytest.approx(sum(known) / len(known)) or longest >= 128
     assert np.isnan(loss.take_shares([7])).all()
+    loss.take(encoder.encode("HEARTBEAT"))
+    assert np.isnan(loss.take_shares([7, 7])).all()  # on two links: not told apart
 
 
 @settings(deadline=None)
@@ -378,7 +380,9 @@ def test_consoles_that_are_killed_or_stall_cost_the_flight_not_a_byte(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     folder = tmp_path / "gs"
     prepare_folder(folder)
-    plan, out = load_mission(find_config(Path("first_flight2"), "missions")), Output(as_json=True)
+    other_id = ["vehicles.0.id=300", "vehicles.0.sysid=1"]  # the page knows it by its id, frames bear its system id
+    plan = load_mission(find_config(Path("first_flight2"), "missions"), other_id)
+    out = Output(as_json=True)
     alone = fly_dry(out, plan, tmp_path / "alone.tlog", (), seed=3, realtime=False)
     got: list[Snapshot] = []
     with (

@@ -73,6 +73,18 @@ def test_the_script_starts_each_vehicle_with_its_own_id_port_and_place(
     np.testing.assert_allclose(offsets, pads - pads[0], atol=0.03)  # seven decimals of a degree
 
 
+def test_a_system_id_that_is_not_the_id_is_what_a_simulator_is_given(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ids = ("vehicles.0.id=300", "vehicles.0.sysid=1", "vehicles.7.id=307", "vehicles.7.sysid=8")
+    code, script, _ = gs(["sitl-env", "mixed8.yaml", *(f"--set={item}" for item in ids)], monkeypatch, capsys)
+    assert code == 0
+    (px4,) = [line for line in script.splitlines() if "mixed8-300 " in line]
+    (arducopter,) = [line for line in script.splitlines() if "mixed8-307 " in line]
+    assert 'bin/px4" -i 0 ' in px4
+    assert " --sysid 8 " in arducopter
+
+
 def test_as_it_comes_px4_gets_no_parameters(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

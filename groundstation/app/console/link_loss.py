@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,9 +48,15 @@ class LinkLoss:
         self._got[sysid] = self._got.get(sysid, 0) + 1
 
     def take_shares(self, sysids: Sequence[int]) -> FloatArray:
-        """Share of frames that were lost since this was last asked, shape (n,); NaN of whom nothing was heard."""
+        """Share of frames that were lost since this was last asked, shape (n,); NaN of whom nothing was heard.
+
+        NaN too of those who share a system id, on different links: frames of one are not told from those of another.
+        """
+        shared = {sysid for sysid, count in Counter(sysids).items() if count > 1}
         shares = [
-            self._lost.get(sysid, 0) / (self._lost.get(sysid, 0) + got) if (got := self._got.get(sysid, 0)) else np.nan
+            self._lost.get(sysid, 0) / (self._lost.get(sysid, 0) + got)
+            if (got := self._got.get(sysid, 0)) and sysid not in shared
+            else np.nan
             for sysid in sysids
         ]
         self._got.clear()

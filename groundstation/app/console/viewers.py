@@ -130,7 +130,7 @@ class Viewers:
     def _listen(self, session: Session) -> None:
         """Counts what is lost on the links from when somebody looks on; once a second it is told."""
         if self._listens:
-            self._lost_share = self._loss.take_shares([vehicle.id for vehicle in self._plan.spec.vehicles])
+            self._lost_share = self._loss.take_shares(self._plan.sysids)
         elif self._found:
             self._listens, before = True, session.onward
 
