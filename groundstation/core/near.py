@@ -40,13 +40,6 @@ class NearViews:
         return out
 
 
-def near_pairs(points_m: FloatArray, reach_m: float) -> list[tuple[int, int]]:
-    """Pairs i < j of points, shape (n, 3), that are not farther apart than a distance, in order."""
-    if len(points_m) < 2 or not np.isfinite(reach_m):
-        return [(i, j) for i in range(len(points_m)) for j in range(i + 1, len(points_m))]
-    return sorted(cKDTree(points_m).query_pairs(reach_m))
-
-
 def near_views(
     pos_team_ned_m: FloatArray,
     vel_ned_m_s: FloatArray,

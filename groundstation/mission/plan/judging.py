@@ -10,7 +10,7 @@ import numpy as np
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
-from groundstation.core.near import near_pairs
+from groundstation.core.metrics import near_pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray
 from groundstation.core.wind import Airframe
@@ -306,7 +306,7 @@ def _check_upload(spec: MissionSpec, source: str) -> None:
 def _check_pads(spec: MissionSpec, pads: FloatArray, region: SafetyRegion, source: str) -> None:
     radius = spec.avoidance.radius_m
     check_clearance(region, pads, ("vehicles[{}].pad_m", "the pad of vehicles[{}]"), "move the pads apart", source)
-    for i, j in near_pairs(pads, 1.01 * radius):
+    for i, j in np.transpose(near_pairs(pads, 1.01 * radius)).tolist():
         distance = float(np.linalg.norm(pads[i] - pads[j]))
         if distance < radius:
             raise UserError(

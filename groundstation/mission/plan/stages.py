@@ -18,8 +18,8 @@ from groundstation.core.assignment import assign_roles
 from groundstation.core.control import ScaleFunction, fitting_scale_gain
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation, Gains
+from groundstation.core.metrics import near_pairs
 from groundstation.core.motion import MovePlan
-from groundstation.core.near import near_pairs
 from groundstation.core.regions import SafetyRegion
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.plan.positioning import all_offsets, check_radius
@@ -301,7 +301,7 @@ def check_clearance(
     """
     if region.by_distance:
         return
-    for i, j in near_pairs(points_m, 1.01 * region.reach_m(0.0)):
+    for i, j in np.transpose(near_pairs(points_m, 1.01 * region.reach_m(0.0))).tolist():
         offset = points_m[j] - points_m[i]
         if region.clearance(offset) <= 1.0:
             raise UserError(
@@ -328,7 +328,7 @@ def check_shape(
     names = "formation.points[{}]", "points[{}]"
     check_clearance(region, formation.points_enu_m, names, "scale the formation up", f"{source}: {at}".rstrip(": "))
     radius = spec.avoidance.radius_m
-    for i, j in near_pairs(formation.points_enu_m, 1.01 * radius):
+    for i, j in np.transpose(near_pairs(formation.points_enu_m, 1.01 * radius)).tolist():
         distance = float(np.linalg.norm(formation.points_enu_m[i] - formation.points_enu_m[j]))
         if distance <= radius:
             raise UserError(
