@@ -301,7 +301,7 @@ class Landing:
             waited_s: since landing began.
             left_alone: what its own failsafe does with it when setpoints stop.
         """
-        fleet, sysid = self._fleet, self._fleet.ids[vehicle]
+        fleet, own_id = self._fleet, self._fleet.ids[vehicle]
         autopilot = self._plan.autopilots[vehicle]
         mode = int(fleet.custom_mode[vehicle])
         on_ground = fleet.landed_state[vehicle] == LANDED_ON_GROUND
@@ -317,6 +317,6 @@ class Landing:
             does = f"it sinks in mode {autopilot.mode_name(mode)}" if autopilot.is_landing_mode(mode) else does
             left = (
                 f"setpoints stop now: its own failsafe {left_alone}; take it over by remote control, or clear the place"
-                f" and fly again with --take-over (there, kill {sysid} stops its motors: it falls)"
+                f" and fly again with --take-over (there, kill {own_id} stops its motors: it falls)"
             )
-        return f"vehicle {sysid}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"
+        return f"vehicle {own_id}: still armed after {waited_s:g} s of landing, {where}: {does}; {left}"

@@ -20,9 +20,8 @@ from groundstation.mission.plan.plan import MissionPlan
 
 _LASTS_S = 0.3
 _LEAST_M = 0.3  # while motors run or have just run: lifting off and touching down they slide, before they tell
-_COMES_BACK_S = (
-    4.0  # touching down, PX4's simulator as it comes was 0.65 m off, its velocity 0.25 m/s: half as much again
-)
+_COMES_BACK_S = 4.0
+"""Touching down, PX4's simulator as it comes was 0.65 m off, its velocity 0.25 m/s: half as much again."""
 
 
 class Resting:

@@ -56,6 +56,6 @@ class TakeOverPhase(PhaseState):
             verdict.note("info", line)
         for problem in state.problems:
             verdict.abort(problem)
-        names = ", ".join(str(sysid) for sysid in team.fleet.ids[home])
+        names = ", ".join(str(own_id) for own_id in team.fleet.ids[home])
         verdict.note("info", f"taken over and brought home: vehicle {names}")
         return Step(event=Event.TAKEN)
