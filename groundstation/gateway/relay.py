@@ -14,12 +14,12 @@ import numpy as np
 from groundstation.core import frames
 from groundstation.gateway.measured import external_pose
 from groundstation.gateway.orders import ExternalPose
+from groundstation.gateway.pilot import SECOND_NS
 from groundstation.mavlink.codec import Frame, Splitters
 from groundstation.mavlink.mocap_frames import room_frames
 from groundstation.mocap.bodies import RoomConfig
 from groundstation.mocap.room import Room
 
-SECOND_NS = 1_000_000_000
 _QUIET_NS = 150_000_000
 """Without a pose of the flight for so long, to anybody, it is silent."""
 
