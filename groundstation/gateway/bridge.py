@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
+from groundstation.gateway.asked import Asked
 from groundstation.gateway.measured import Pose, charge, external_pose, read_pose
-from groundstation.gateway.orders import ExternalPose, LogRate, Order, Ping, Place, Recover, SetParam
+from groundstation.gateway.orders import Arm, ExternalPose, LogRate, Order, Ping, Place, Recover, SetParam
 from groundstation.gateway.params import ParamServer
 from groundstation.gateway.pilot import SECOND_NS, Mode, Pilot
 from groundstation.gateway.quality import LinkQuality
@@ -43,7 +45,7 @@ _LOCAL_NED = 1
 _FORCE = 21196
 _ATTITUDE_GOOD, _ALL_GOOD = 0x1, 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20
 _VARIANCE_GOOD_M2, _VARIANCE_LOST_M2 = 0.01, 0.09
-_OLDEST_PROTOCOL = 9
+_OLDEST_PROTOCOL, _SUPERVISOR_PORT = 9, 12  # since that one the supervisor has a port of its own
 _TEXT_BYTES = 50
 _WARNING, _INFO = 4, 6
 _CHARGES = (1, 2)  # pm.state
@@ -78,6 +80,7 @@ class Bridge:
         self._begun_ns = now_ns if boot_ns is None else boot_ns
         self._encoder, self._splitters, self._stamps = Encoder(sysid), Splitters(), Stamps()
         self._params = ParamServer(self.settings, self._encoder)
+        self._asked = Asked()
         self._frames: list[bytes] = []
         self._protocol: int | None = None
         self._pose: Pose | None = None
@@ -138,6 +141,12 @@ class Bridge:
     def echoed(self, number: int, now_ns: int) -> None:
         """Takes an echo that was asked for by ``Ping``."""
         self.quality.echoed(number, now_ns)
+
+    def answered(self, number: int, error: int) -> None:
+        """Takes what the high-level commander answers to a command, by its number; error 0 is none."""
+        words = self._asked.answered(number, error)
+        if words is not None:
+            self._text(_WARNING, words)
 
     def param_told(self, name: str, value: float) -> None:
         """Takes a parameter's value, after it was set."""
@@ -340,6 +349,9 @@ class Bridge:
         words = self.pilot.tick(now_ns)
         if words is not None:
             self._text(_WARNING if self.pilot.failsafe else _INFO, words)
+        again = self._asked.due(now_ns)
+        if again and self.pilot.asks(again[-1], now_ns):
+            self.pilot.orders += again
         self._frames += self._params.due()
         if not self._heard(now_ns):
             return
@@ -381,6 +393,9 @@ class Bridge:
     def take_orders(self) -> list[Order]:
         """Hands out what is to be sent to the vehicle."""
         orders, self.pilot.orders = self.pilot.orders, []
+        if self._protocol is not None and self._protocol < _SUPERVISOR_PORT:
+            orders = [replace(order, old=True) if isinstance(order, Arm | Recover) else order for order in orders]
+        self._asked.sent(orders)
         return orders
 
     def take_external_pose(self) -> ExternalPose | None:

@@ -65,19 +65,37 @@ class HighLevelStop:
 
 @dataclass(frozen=True)
 class Arm:
-    """Arms or disarms by the supervisor."""
+    """Arms or disarms by the supervisor.
+
+    Attributes:
+        arm: arms.
+        old: as firmware before version 12 of CRTP wants to be told, which has no supervisor's port.
+    """
 
     arm: bool
+    old: bool = False
 
 
 @dataclass(frozen=True)
 class Recover:
-    """After a crash, once it stands upright: the supervisor begins anew. One that is locked stays so."""
+    """After a crash, once it stands upright: the supervisor begins anew. One that is locked stays so.
+
+    Attributes:
+        old: as for ``Arm``.
+    """
+
+    old: bool = False
 
 
 @dataclass(frozen=True)
 class EmergencyStop:
-    """Motors off at once; the vehicle is locked until it is restarted."""
+    """Motors off at once; the vehicle is locked until it is restarted.
+
+    Attributes:
+        old: as for ``Arm``.
+    """
+
+    old: bool = False
 
 
 @dataclass(frozen=True)

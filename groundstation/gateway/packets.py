@@ -1,7 +1,8 @@
 """Orders as CRTP packets: the few that a flight needs, in bytes, for whoever carries them.
 
 Numbers are those of the protocol's pages (generic setpoints, high-level commander, localisation, supervisor), from
-version 9 on. They need no table of the vehicle's, so they can be sent before a connection is complete; parameters do.
+version 9 on; the supervisor has a port of its own from version 12 (firmware of 2026) on. They need no table of the
+vehicle's, so they can be sent before a connection is complete; parameters do.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from groundstation.gateway.orders import (
 )
 
 PARAM, LOG, LOCALISATION, LINK = 2, 5, 6, 15
-_GENERIC, _HIGH_LEVEL, _SUPERVISOR = 7, 8, 9
+_GENERIC, HIGH_LEVEL, _SUPERVISOR, _PLATFORM = 7, 8, 9, 13
 _POSE, _POSE_PACKED = 8, 9
 _MAGNITUDE = 511
 _VELOCITY, _STOP, _TAKE_OFF, _LAND, _GO_TO = 8, 3, 7, 8, 12
@@ -37,6 +38,8 @@ SHAPE_OF_KIND = {1: "<B", 2: "<b", 3: "<H", 5: "<I", 9: "<f"}
 """By MAV_PARAM_TYPE."""
 
 
+ANSWER_BYTES = 4
+"""Of the high-level commander: the command, two bytes of it, the error."""
 _ECHO = b"\x67gs"
 _ECHO_BYTES = 9  # as long as those of cflib, which unpacks all that comes back, and knows its own by the first byte
 PACKED = 2
@@ -102,21 +105,21 @@ def packet_of(order: Order, numbers: Mapping[str, tuple[int, int]]) -> bytes | N
         case SetpointsStop():
             return packet(_GENERIC, 1, struct.pack("<BI", 0, VALID_MS))
         case TakeOff(height_m, duration_s):
-            return packet(_HIGH_LEVEL, 0, struct.pack("<BBff?f", _TAKE_OFF, 0, height_m, 0.0, True, duration_s))
+            return packet(HIGH_LEVEL, 0, struct.pack("<BBff?f", _TAKE_OFF, 0, height_m, 0.0, True, duration_s))
         case LandAt(height_m, duration_s):
-            return packet(_HIGH_LEVEL, 0, struct.pack("<BBff?f", _LAND, 0, height_m, 0.0, True, duration_s))
+            return packet(HIGH_LEVEL, 0, struct.pack("<BBff?f", _LAND, 0, height_m, 0.0, True, duration_s))
         case GoTo((x, y, z), relative, yaw, duration_s):
             turn = 0.0 if relative else yaw
             head = struct.pack("<BB??", _GO_TO, 0, relative, False)
-            return packet(_HIGH_LEVEL, 0, head + struct.pack("<fffff", x, y, z, turn, duration_s))
+            return packet(HIGH_LEVEL, 0, head + struct.pack("<fffff", x, y, z, turn, duration_s))
         case HighLevelStop():
-            return packet(_HIGH_LEVEL, 0, struct.pack("<BB", _STOP, 0))
-        case Arm(arm):
-            return packet(_SUPERVISOR, 1, struct.pack("<B?", 1, arm))
-        case Recover():
-            return packet(_SUPERVISOR, 1, b"\x02")
-        case EmergencyStop():
-            return packet(_SUPERVISOR, 1, b"\x03")
+            return packet(HIGH_LEVEL, 0, struct.pack("<BB", _STOP, 0))
+        case Arm(arm, old):
+            return packet(*((_PLATFORM, 0) if old else (_SUPERVISOR, 1)), struct.pack("<B?", 1, arm))
+        case Recover(old):
+            return packet(*((_PLATFORM, 0) if old else (_SUPERVISOR, 1)), b"\x02")
+        case EmergencyStop(old):
+            return packet(LOCALISATION if old else _SUPERVISOR, 1, b"\x03")
         case ExternalPose(place, quat):
             if quat is None:
                 return packet(LOCALISATION, 0, struct.pack("<fff", *place))

@@ -143,7 +143,7 @@ class Pilot:
         """Motors off at once, wherever it is."""
         self._armed, self.mode, self._velocity, self._legs = False, Mode.OUT, None, []
         self._climbs_until_ns = 0
-        self.orders += [EmergencyStop()] * 3  # each may be lost
+        self.orders += [EmergencyStop(), EmergencyStop(old=True)] * 3  # each may be lost, and only one is understood
 
     def follow(self, now_ns: int) -> None:
         """Follows velocities from now on; one that was on its way down stays where it is until one comes."""
@@ -210,6 +210,19 @@ class Pilot:
         if now_ns - self._sent_ns >= 0.9 * SECOND_NS / min(self._settings["GW_SETP_HZ"], self.most_hz):
             self._send(now_ns)
         return True
+
+    def asks(self, order: Order, now_ns: int) -> bool:
+        """Whether what was not answered is still wanted, and is to be asked for again."""
+        match order:
+            case TakeOff(_, duration_s):
+                wanted = self.climbs(now_ns) and not self.supervisor.flies
+                if wanted:
+                    self._climbs_until_ns = now_ns + round(duration_s * SECOND_NS)
+                return wanted
+            case HighLevelStop():
+                return self.mode is Mode.STAND
+            case _:  # a landing, a place, and the end of the stream of velocities
+                return self.supervisor.flies and self.mode in (Mode.HOLD, Mode.LAND, Mode.RETURN)
 
     # -- time ---------------------------------------------------------------------------------------------------
 

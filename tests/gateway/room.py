@@ -19,9 +19,9 @@ VELOCITY, HOLD, LAND = 1, 2, 3
 class Room:
     """n of them on pads; ``heard`` is what the first one has told since it was emptied."""
 
-    def __init__(self, n: int = 1, *, faults: str | None = None) -> None:
+    def __init__(self, n: int = 1, *, faults: str | None = None, world: World | None = None) -> None:
         struck: tuple[Fault, ...] = tuple(parse_faults(faults, "test")) if faults else ()
-        self.world = World(WorldConfig(vehicles=fleet(n, autopilot="crazyflie"), faults=struck), 1)
+        self.world = world or World(WorldConfig(vehicles=fleet(n, autopilot="crazyflie"), faults=struck), 1)
         self.gateway = GatewayWorld(self.world)
         self.heard: list[tuple[str, StructuredArray]] = []
         self.now_ns = 0

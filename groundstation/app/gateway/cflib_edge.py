@@ -26,7 +26,7 @@ from cflib.crtp.crtpstack import CRTPPacket
 from groundstation.gateway.measured import POSE_VARIABLES, STATUS_MS, STATUS_VARIABLES
 from groundstation.gateway.orders import LogRate, Order, SetParam
 from groundstation.gateway.outbox import Outbox
-from groundstation.gateway.packets import LINK, echo_number, packet_of
+from groundstation.gateway.packets import ANSWER_BYTES, HIGH_LEVEL, LINK, echo_number, packet_of
 
 _KINDS = {
     "uint8_t": 1, "int8_t": 2, "uint16_t": 3, "int16_t": 4, "uint32_t": 5, "int32_t": 6, "float": 9, "FP16": 9,
@@ -44,9 +44,9 @@ class Heard:
 
     Attributes:
         vehicle: number of the vehicle.
-        kind: log, param, echo, connected, lost.
-        values: log variables by full name; of a parameter, its one value.
-        stamp_ms: of a log packet; of an echo its number.
+        kind: log, param, echo, answer, connected, lost.
+        values: log variables by full name; of a parameter, its one value; of an answer the error.
+        stamp_ms: of a log packet; of an echo or an answer its number.
         protocol: version of CRTP, when connected.
         params: full name: value, MAV_PARAM_TYPE, when connected.
         words: why it is lost.
@@ -153,6 +153,7 @@ class CflibVehicle:
         for ended in (cf.connection_failed, cf.connection_lost):
             ended.add_callback(lambda _uri, words: self._lost(cf, str(words)))
         cf.add_port_callback(LINK, self._echoed)
+        cf.add_port_callback(HIGH_LEVEL, self._answered)
         self._cf = cf
         cf.open_link(self.uri)
         for order in tuple(first) * _FIRST_TIMES:
@@ -163,6 +164,11 @@ class CflibVehicle:
         number = echo_number(bytes(packet.data)) if packet.channel == 0 else None
         if number is not None:
             self._inbox.put(Heard(self._number, "echo", stamp_ms=number))
+
+    def _answered(self, packet: CRTPPacket) -> None:
+        data = bytes(packet.data)
+        if len(data) >= ANSWER_BYTES:
+            self._inbox.put(Heard(self._number, "answer", values={"error": float(data[3])}, stamp_ms=data[0]))
 
     def _log(self, cf: Crazyflie) -> None:
         for name, period_ms, variables in (

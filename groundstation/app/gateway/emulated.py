@@ -20,6 +20,8 @@ from groundstation.gateway.names import short_names
 from groundstation.gateway.orders import LogRate
 from groundstation.gateway.outbox import Outbox
 from groundstation.gateway.packets import (
+    ANSWER_BYTES,
+    HIGH_LEVEL,
     LINK,
     LOG,
     PARAM,
@@ -117,6 +119,8 @@ class _Client:
                 self.bridge.logged(values, int.from_bytes(rest[1:4], "little"), now_ns)
         elif port == PARAM and channel in (1, 2) and len(rest) > 2:
             self._param(rest, skip=3 if channel == 1 else 2)
+        elif port == HIGH_LEVEL and len(rest) >= ANSWER_BYTES:
+            self.bridge.answered(rest[0], rest[3])
         elif port == LINK and (number := echo_number(rest)) is not None:
             self.bridge.echoed(number, now_ns)
 

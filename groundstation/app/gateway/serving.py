@@ -210,6 +210,8 @@ class Gateway:
                 self._say(f"vehicle {item.sysid}: its poses come {late_ns / 1e9:.2f} s late; lower the rates")
         elif heard.kind == "echo":
             item.bridge.echoed(heard.stamp_ms, now_ns)
+        elif heard.kind == "answer":
+            item.bridge.answered(heard.stamp_ms, int(heard.values["error"]))
         elif heard.kind == "param":
             for name, value in heard.values.items():
                 item.bridge.param_told(name, value)
