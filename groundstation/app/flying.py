@@ -337,7 +337,7 @@ def fly_vehicles(
             log_path, versions(), emulated_seed, replace=replace_log, through=disk.through, faults=struck
         )
         purpose = Purpose.TAKE_OVER if take_over else Purpose.FLY
-        kept = stack.enter_context(reading(plan))
+        kept, rooms = stack.enter_context(reading(plan))
         keepers = stack.enter_context(serving(plan, kept))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=not emulated, log=recorded, make=Session)
         session, gate, links = flight.session, flight.gate, flight.links
@@ -365,7 +365,7 @@ def fly_vehicles(
                     *shown(at_the_desk, plan, meter.figures if meter else dict, times, console=console),
                 ),
                 interrupts=interrupts,
-                controls=(*controls, *keepers),
+                controls=(*controls, *keepers, *rooms),
                 times=times,
             )
         for words in (times.words(), links_watch.words()):

@@ -162,7 +162,7 @@ def check(
     keeper = BeforeKeeper(before_path(dated_path(plan)))
     with ExitStack() as stack:
         purpose = Purpose.PREPARE if fix else Purpose.LOOK
-        kept = stack.enter_context(reading(plan))
+        kept, rooms = stack.enter_context(reading(plan))
         keepers = stack.enter_context(serving(plan, kept))
         flight = open_flight(stack, plan, purpose, real=True, keep_times=True, make=Session)
         display = stack.enter_context(FlightDisplay(out.console, plan, flight.links))
@@ -174,7 +174,7 @@ def check(
             period_ns=period_ns(plan),
             watchers=(display, keeper),
             interrupts=interrupts,
-            controls=keepers,
+            controls=(*keepers, *rooms),
         )
         troubles = link_troubles(flight.links)
     runner, gate = flight.session.runner, flight.gate

@@ -61,6 +61,7 @@ def mocap(
         typer.Option(help="With fake: serve bodies by VRPN on this port (3883), to be read as a real system.", min=1),
     ] = None,
     kept: Annotated[bool, typer.Option("--kept", hidden=True, help="Ends with its standard input.")] = False,
+    begins_by: Annotated[int | None, typer.Option(hidden=True, help="Waits for a word at this descriptor.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Sends frames of a motion capture system to flights. Ctrl-C ends."""
@@ -135,6 +136,13 @@ def mocap(
     named = obstacle or ([] if plan is None else [item.body for item in plan.moving_bodies])
     others = {name: -number for number, name in enumerate(named, start=1)}
     reader = Reader(others | ids | _bodies(body or []), up=up, unit=unit)
+    if begins_by is not None:
+        import motioncapture  # noqa: F401 - loaded before it waits
+
+        from groundstation.app.mocap.process import begins_by as begins
+
+        if not begins(begins_by):
+            return
     say(f"reads {system} at {host}, sends to udp {host_of_flight}:{at.port}")
     read(connect(system, host), reader, wire)
 
