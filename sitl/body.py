@@ -195,7 +195,8 @@ class Motors:
             pos, vel = pos_enu_m[axis], vel_enu_m_s[axis]
             commands.vel_sp_enu_m_s[axis, i] = 0.0 if vel is None else vel
             if pos is None:
-                commands.pos_mask[axis, i] = 0.0
+                if commands.positions_used:  # else it is zero still
+                    commands.pos_mask[axis, i] = 0.0
             else:
                 commands.pos_mask[axis, i] = 1.0
                 commands.pos_sp_enu_m[axis, i] = pos

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from sitl.state import State
 from sitl.telemetry import View
 
 IntArray = NDArray[np.int64]
+_T = TypeVar("_T", bound=np.generic)
 Maker = Callable[[State, View, IntArray], StructuredArray]
 
 
@@ -71,19 +72,24 @@ def rows_of(name: str, vehicles: IntArray) -> StructuredArray:
     return np.zeros(len(vehicles), dtype=layout(name).dtype)
 
 
+def of(values: NDArray[_T], vehicles: IntArray) -> NDArray[_T]:
+    """What belongs to some vehicles, shape (..., n) to (..., k); of all of them it is the array itself."""
+    return values if len(vehicles) == values.shape[-1] else values[..., vehicles]
+
+
 def pilots_of(state: State, vehicles: IntArray) -> list[Pilot]:
     """The autopilots of some vehicles."""
-    return [state.pilots[i] for i in vehicles]
+    return [state.pilots[i] for i in vehicles.tolist()]
 
 
 def times_ms(state: State, vehicles: IntArray) -> IntArray:
     """Time since power-up as the vehicles count it, ms."""
-    return state.own_time_ns()[vehicles] // 1_000_000
+    return of(state.clocks.own_ms(state.now_ns), vehicles)
 
 
 def times_us(state: State, vehicles: IntArray) -> IntArray:
     """The same in microseconds."""
-    return state.own_time_ns()[vehicles] // 1_000
+    return of(state.own_time_ns(), vehicles) // 1_000
 
 
 @message(MESSAGES)
@@ -116,7 +122,7 @@ def _sys_status(state: State, _view: View, vehicles: IntArray) -> StructuredArra
 @message(MESSAGES)
 def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("SYSTEM_TIME", vehicles)
-    out["time_unix_usec"] = state.unix_us() + state.clocks.offset_ns[vehicles] // 1000
+    out["time_unix_usec"] = state.unix_us() + of(state.clocks.offset_ns, vehicles) // 1000
     out["time_boot_ms"] = times_ms(state, vehicles)
     return out
 
@@ -124,7 +130,7 @@ def _system_time(state: State, _view: View, vehicles: IntArray) -> StructuredArr
 @message(MESSAGES)
 def _timesync(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("TIMESYNC", vehicles)
-    out["ts1"] = state.own_time_ns()[vehicles]
+    out["ts1"] = of(state.own_time_ns(), vehicles)
     return out
 
 
@@ -134,8 +140,8 @@ def _attitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     roll, pitch, yaw = view.euler_rad
     rates = view.rates_frd_rad_s
     out["time_boot_ms"] = times_ms(state, vehicles)
-    out["roll"], out["pitch"], out["yaw"] = roll[vehicles], pitch[vehicles], yaw[vehicles]
-    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = rates[:, vehicles]
+    out["roll"], out["pitch"], out["yaw"] = of(roll, vehicles), of(pitch, vehicles), of(yaw, vehicles)
+    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = of(rates, vehicles)
     return out
 
 
@@ -143,8 +149,8 @@ def _attitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
 def _attitude_quaternion(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ATTITUDE_QUATERNION", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
-    out["q1"], out["q2"], out["q3"], out["q4"] = view.quat_ned_from_frd[:, vehicles]
-    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
+    out["q1"], out["q2"], out["q3"], out["q4"] = of(view.quat_ned_from_frd, vehicles)
+    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = of(view.rates_frd_rad_s, vehicles)
     return out
 
 
@@ -152,8 +158,8 @@ def _attitude_quaternion(state: State, view: View, vehicles: IntArray) -> Struct
 def _local_position_ned(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("LOCAL_POSITION_NED", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
-    out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
-    out["vx"], out["vy"], out["vz"] = view.vel_ned_m_s[:, vehicles]
+    out["x"], out["y"], out["z"] = of(view.local_ned_m, vehicles)
+    out["vx"], out["vy"], out["vz"] = of(view.vel_ned_m_s, vehicles)
     return out
 
 
@@ -162,11 +168,11 @@ def _odometry(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ODOMETRY", vehicles)
     out["time_usec"] = times_us(state, vehicles)
     out["frame_id"], out["child_frame_id"] = 1, 12  # LOCAL_NED, BODY_FRD
-    out["x"], out["y"], out["z"] = view.local_ned_m[:, vehicles]
-    out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["vx"], out["vy"], out["vz"] = frd_from_ned(view.quat_ned_from_frd, view.vel_ned_m_s)[:, vehicles]
-    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = view.rates_frd_rad_s[:, vehicles]
-    variance = state.estimator.white_m[0, vehicles] ** 2 + 1e-6
+    out["x"], out["y"], out["z"] = of(view.local_ned_m, vehicles)
+    out["q"] = of(view.quat_ned_from_frd, vehicles).T
+    out["vx"], out["vy"], out["vz"] = of(frd_from_ned(view.quat_ned_from_frd, view.vel_ned_m_s), vehicles)
+    out["rollspeed"], out["pitchspeed"], out["yawspeed"] = of(view.rates_frd_rad_s, vehicles)
+    variance = of(state.estimator.white_m[0], vehicles) ** 2 + 1e-6
     for diagonal in (0, 6, 11):
         out["pose_covariance"][:, diagonal] = variance
         out["velocity_covariance"][:, diagonal] = 1e-4
@@ -185,9 +191,9 @@ def _number(state: State, values: NDArray[np.float64]) -> NDArray[np.float64]:
 def _geo(view: View, vehicles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float64]]:
     lat, lon, alt = view.geodetic
     state = view.state
-    lat_e7 = np.rint(_number(state, lat[vehicles]) * 1e7).astype(np.int64)
-    lon_e7 = np.rint(_number(state, lon[vehicles]) * 1e7).astype(np.int64)
-    return lat_e7, lon_e7, _number(state, alt[vehicles])
+    lat_e7 = np.rint(_number(state, of(lat, vehicles)) * 1e7).astype(np.int64)
+    lon_e7 = np.rint(_number(state, of(lon, vehicles)) * 1e7).astype(np.int64)
+    return lat_e7, lon_e7, _number(state, of(alt, vehicles))
 
 
 @message(MESSAGES, position=True)
@@ -196,11 +202,11 @@ def _global_position_int(state: State, view: View, vehicles: IntArray) -> Struct
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = np.rint(alt * 1000.0)
-    height = _number(state, view.pos_enu_m[2, vehicles]) - state.known.home_enu_m[2, vehicles]
+    height = _number(state, of(view.pos_enu_m[2], vehicles)) - of(state.known.home_enu_m[2], vehicles)
     out["relative_alt"] = np.rint(between(height, -2e6, 2e6) * 1000.0)  # home may be set anywhere on the globe
-    vel = between(_number(state, view.vel_ned_m_s[:, vehicles]) * 100.0, -32767.0, 32767.0)
+    vel = between(_number(state, of(view.vel_ned_m_s, vehicles)) * 100.0, -32767.0, 32767.0)
     out["vx"], out["vy"], out["vz"] = np.rint(vel)
-    out["hdg"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0 * 100.0) % 36000
+    out["hdg"] = np.rint(np.degrees(of(view.euler_rad[2], vehicles)) % 360.0 * 100.0) % 36000
     return out
 
 
@@ -212,7 +218,7 @@ def _gps_raw_int(state: State, view: View, vehicles: IntArray) -> StructuredArra
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = out["alt_ellipsoid"] = np.rint(alt * 1000.0)
     out["eph"], out["epv"] = 80, 110
-    vel = _number(state, view.vel_ned_m_s[:, vehicles])
+    vel = _number(state, of(view.vel_ned_m_s, vehicles))
     out["vel"] = np.minimum(np.rint(np.hypot(vel[0], vel[1]) * 100.0), 65534)
     out["cog"] = np.rint(np.degrees(np.arctan2(vel[1], vel[0])) % 360.0 * 100.0) % 36000
     out["satellites_visible"] = 12
@@ -224,11 +230,11 @@ def _gps_raw_int(state: State, view: View, vehicles: IntArray) -> StructuredArra
 def _highres_imu(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HIGHRES_IMU", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    out["xacc"], out["yacc"], out["zacc"] = view.specific_force_frd_m_s2[:, vehicles]
-    out["xgyro"], out["ygyro"], out["zgyro"] = view.rates_frd_rad_s[:, vehicles]
-    yaw = view.euler_rad[2][vehicles]
+    out["xacc"], out["yacc"], out["zacc"] = of(view.specific_force_frd_m_s2, vehicles)
+    out["xgyro"], out["ygyro"], out["zgyro"] = of(view.rates_frd_rad_s, vehicles)
+    yaw = of(view.euler_rad[2], vehicles)
     out["xmag"], out["ymag"], out["zmag"] = 0.215 * np.cos(yaw), -0.215 * np.sin(yaw), 0.43
-    height = _number(state, view.pos_enu_m[2, vehicles])
+    height = _number(state, of(view.pos_enu_m[2], vehicles))
     out["pressure_alt"] = height + state.config.home_alt_m
     out["abs_pressure"] = _SEA_LEVEL_HPA * (1.0 - 2.25577e-5 * out["pressure_alt"]) ** 5.25588
     out["temperature"] = 25.0
@@ -240,10 +246,10 @@ def _highres_imu(state: State, view: View, vehicles: IntArray) -> StructuredArra
 def _altitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ALTITUDE", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    alt = view.geodetic[2][vehicles]
+    alt = of(view.geodetic[2], vehicles)
     out["altitude_monotonic"] = out["altitude_amsl"] = alt
-    out["altitude_local"] = -view.local_ned_m[2, vehicles]
-    out["altitude_relative"] = view.pos_enu_m[2, vehicles] - state.known.home_enu_m[2, vehicles]
+    out["altitude_local"] = -of(view.local_ned_m[2], vehicles)
+    out["altitude_relative"] = of(view.pos_enu_m[2], vehicles) - of(state.known.home_enu_m[2], vehicles)
     out["altitude_terrain"] = np.nan
     out["bottom_clearance"] = np.nan
     return out
@@ -252,12 +258,12 @@ def _altitude(state: State, view: View, vehicles: IntArray) -> StructuredArray:
 @message(MESSAGES)
 def _vfr_hud(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("VFR_HUD", vehicles)
-    vel = view.vel_ned_m_s[:, vehicles]
+    vel = of(view.vel_ned_m_s, vehicles)
     out["airspeed"] = out["groundspeed"] = np.hypot(vel[0], vel[1])
     out["climb"] = -vel[2]
-    out["alt"] = view.geodetic[2][vehicles]
-    out["heading"] = np.rint(np.degrees(view.euler_rad[2][vehicles]) % 360.0) % 360
-    out["throttle"] = between(state.dynamics.motion.thrust_m_s2[vehicles] / 9.80665 * 50.0, 0.0, 100.0)
+    out["alt"] = of(view.geodetic[2], vehicles)
+    out["heading"] = np.rint(np.degrees(of(view.euler_rad[2], vehicles)) % 360.0) % 360
+    out["throttle"] = between(of(state.dynamics.motion.thrust_m_s2, vehicles) / 9.80665 * 50.0, 0.0, 100.0)
     return out
 
 
@@ -267,13 +273,13 @@ def _position_target_local_ned(state: State, _view: View, vehicles: IntArray) ->
     dynamics = state.dynamics
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["coordinate_frame"] = 1
-    target = dynamics.commands.pos_sp_enu_m[:, vehicles] - state.known.origin_enu_m[:, vehicles]
-    held = dynamics.commands.pos_mask[:, vehicles] > 0
+    target = of(dynamics.commands.pos_sp_enu_m, vehicles) - of(state.known.origin_enu_m, vehicles)
+    held = of(dynamics.commands.pos_mask, vehicles) > 0
     target = np.where(held, target, np.nan)
     out["x"], out["y"], out["z"] = target[1], target[0], -target[2]
-    vel = dynamics.commands.vel_sp_enu_m_s[:, vehicles]
+    vel = of(dynamics.commands.vel_sp_enu_m_s, vehicles)
     out["vx"], out["vy"], out["vz"] = vel[1], vel[0], -vel[2]
-    out["yaw"] = math.pi / 2.0 - dynamics.commands.yaw_sp_enu_rad[vehicles]
+    out["yaw"] = math.pi / 2.0 - of(dynamics.commands.yaw_sp_enu_rad, vehicles)
     return out
 
 
@@ -282,8 +288,8 @@ def _attitude_target(state: State, view: View, vehicles: IntArray) -> Structured
     """As far as the dynamics have one: the attitude that is flown, with the thrust."""
     out = rows_of("ATTITUDE_TARGET", vehicles)
     out["time_boot_ms"] = times_ms(state, vehicles)
-    out["q"] = view.quat_ned_from_frd[:, vehicles].T
-    out["thrust"] = between(state.dynamics.motion.thrust_m_s2[vehicles] / (2.0 * 9.80665), 0.0, 1.0)
+    out["q"] = of(view.quat_ned_from_frd, vehicles).T
+    out["thrust"] = between(of(state.dynamics.motion.thrust_m_s2, vehicles) / (2.0 * 9.80665), 0.0, 1.0)
     return out
 
 
@@ -294,7 +300,7 @@ def _distance_sensor(state: State, _view: View, vehicles: IntArray) -> Structure
     dynamics = state.dynamics
     out["time_boot_ms"] = times_ms(state, vehicles)
     out["max_distance"], out["orientation"] = 10_000, 25  # cm; MAV_SENSOR_ROTATION_PITCH_270
-    height_m = dynamics.motion.pos_enu_m[2, vehicles] - dynamics.ground.height_m[vehicles]
+    height_m = of(dynamics.motion.pos_enu_m[2], vehicles) - of(dynamics.ground.height_m, vehicles)
     out["current_distance"] = np.rint(between(height_m * 100.0, 0.0, 10_000.0))
     return out
 
@@ -318,7 +324,7 @@ def _extended_sys_state(state: State, _view: View, vehicles: IntArray) -> Struct
 def _estimator_status(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("ESTIMATOR_STATUS", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    good = state.known.has_position[vehicles] & ~state.broken.invalid[vehicles]
+    good = of(state.known.has_position, vehicles) & ~of(state.broken.invalid, vehicles)
     # attitude, vertical velocity, heights above sea and ground; with a position: horizontal velocity, positions,
     # and that they are measured. Standing still sets "constant position", whatever is known.
     resting = np.array([pilot.landed for pilot in pilots_of(state, vehicles)], dtype=bool)
@@ -351,13 +357,13 @@ def _battery_status(state: State, _view: View, vehicles: IntArray) -> Structured
 @message(MESSAGES, position=True)
 def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("HOME_POSITION", vehicles)
-    home = state.known.home_enu_m[:, vehicles]
+    home = of(state.known.home_enu_m, vehicles)
     lat, lon, alt = state.geodesy.geodetic_from_enu(home)
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
-    local = home - state.known.origin_enu_m[:, vehicles]
+    local = home - of(state.known.origin_enu_m, vehicles)
     out["x"], out["y"], out["z"] = local[1], local[0], -local[2]
-    out["q"] = view.quat_ned_from_frd[:, vehicles].T
+    out["q"] = of(view.quat_ned_from_frd, vehicles).T
     out["time_usec"] = times_us(state, vehicles)
     return out
 
@@ -365,7 +371,7 @@ def _home_position(state: State, view: View, vehicles: IntArray) -> StructuredAr
 @message(MESSAGES, origin=True)
 def _gps_global_origin(state: State, _view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_GLOBAL_ORIGIN", vehicles)
-    lat, lon, alt = state.geodesy.geodetic_from_enu(state.known.origin_enu_m[:, vehicles])
+    lat, lon, alt = state.geodesy.geodetic_from_enu(of(state.known.origin_enu_m, vehicles))
     out["latitude"], out["longitude"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["altitude"] = np.rint(alt * 1000.0)
     out["time_usec"] = times_us(state, vehicles)
@@ -378,12 +384,12 @@ def _hil_state_quaternion(state: State, _view: View, vehicles: IntArray) -> Stru
     out = rows_of("HIL_STATE_QUATERNION", vehicles)
     dynamics = state.dynamics
     out["time_usec"] = times_us(state, vehicles)
-    out["attitude_quaternion"] = state.true_quat()[:, vehicles].T
-    lat, lon, alt = state.geodesy.geodetic_from_enu(dynamics.motion.pos_enu_m[:, vehicles])
+    out["attitude_quaternion"] = of(state.true_quat(), vehicles).T
+    lat, lon, alt = state.geodesy.geodetic_from_enu(of(dynamics.motion.pos_enu_m, vehicles))
     out["lat"], out["lon"] = np.rint(lat * 1e7), np.rint(lon * 1e7)
     out["alt"] = np.rint(alt * 1000.0)
-    vel = np.clip(dynamics.motion.vel_enu_m_s[:, vehicles] * 100.0, -32767, 32767)
+    vel = np.clip(of(dynamics.motion.vel_enu_m_s, vehicles) * 100.0, -32767, 32767)
     out["vx"], out["vy"], out["vz"] = np.rint(vel[1]), np.rint(vel[0]), np.rint(-vel[2])
-    acc = np.clip(dynamics.motion.acc_enu_m_s2[:, vehicles] / 9.80665 * 1000.0, -32767, 32767)
+    acc = np.clip(of(dynamics.motion.acc_enu_m_s2, vehicles) / 9.80665 * 1000.0, -32767, 32767)
     out["xacc"], out["yacc"], out["zacc"] = np.rint(acc[1]), np.rint(acc[0]), np.rint(-acc[2])
     return out

@@ -37,6 +37,7 @@ class Clocks:
         self.boot_ns = np.full(n, config.start_ns, dtype=np.int64)
         self.offset_ns = np.zeros(n, dtype=np.int64)
         self._own_ns: tuple[int, NDArray[np.int64]] | None = None
+        self._own_ms: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
         self._slow = np.array([1.0 - profile.manners.clock_rate for profile in profiles])
         self._drifts = bool(self._slow.any())
         self._unix_at_0_us = config.unix_start_us, config.start_ns
@@ -54,6 +55,13 @@ class Clocks:
         own_ns: NDArray[np.int64] = np.maximum(counted + self.offset_ns, 0)
         self._own_ns = now_ns, own_ns
         return own_ns
+
+    def own_ms(self, now_ns: int) -> NDArray[np.int64]:
+        """The same in whole milliseconds, shape (n,)."""
+        own_ns = self.own_ns(now_ns)
+        if self._own_ms is None or self._own_ms[0] is not own_ns:
+            self._own_ms = own_ns, own_ns // 1_000_000
+        return self._own_ms[1]
 
     def start(self, index: int, now_ns: int) -> None:
         """A vehicle is powered up."""

@@ -29,6 +29,21 @@ def norms(vectors: FloatArray) -> FloatArray:
     return lengths
 
 
+def squares(vectors: FloatArray) -> FloatArray:
+    """Their squares, shape (..., k) to (...): ``(vectors**2).sum(axis=-1)``."""
+    return np.asarray(np.add.reduce(vectors * vectors, axis=-1))
+
+
+def any_of(mask: BoolArray) -> BoolArray | None:
+    """The mask where anything in it is true, else None: for ``renewed``, which then has nothing to do."""
+    return mask if b"\1" in mask.tobytes() else None
+
+
+def renewed(new: BoolArray | None, first: FloatArray | float, later: FloatArray) -> FloatArray:
+    """``np.where(new, first, later)``; None: nothing is new, and ``later`` itself comes back."""
+    return later if new is None else np.where(new, first, later)
+
+
 def between(values: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
     """``np.clip(values, low, high)``; what is not a number stays that."""
     clipped: FloatArray = np.minimum(np.maximum(values, low), high)

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from groundstation.core.quick import between, finite_rows, norms, some
+from groundstation.core.quick import any_of, between, finite_rows, norms, renewed, some, squares
 from groundstation.core.types import BoolArray, FloatArray
 
 _RATE_1_S, _DAMPING = 3.0, 0.7
@@ -69,21 +69,22 @@ class Speeds:
         known = counts & finite_rows(pos_ned_m) & finite_rows(vel_ned_m_s)
         self._gap_s = np.where(known, 0.0, self._gap_s + passed_s)
         fresh = known & ~np.isfinite(self._pos[:, 0])
-        going = known & ~fresh
-        on = going[:, None]
+        stays = any_of(~known | fresh)
+        rows = None if stays is None else stays[:, None]
         ahead = self._pos + passed_s * (vel_ned_m_s - self.error_ned_m_s)
-        off = np.where(on, pos_ned_m - ahead, 0.0)
+        off = renewed(rows, 0.0, pos_ned_m - ahead)
         pull = min(1.0, 2.0 * _DAMPING * _RATE_1_S * passed_s)
         error = self.error_ned_m_s - min(0.25, _RATE_1_S**2 * passed_s**2) / passed_s * off
         error = error * math.exp(-passed_s / _FORGETS_S)
         size = norms(error)[..., None]
         error = error * np.minimum(1.0, _MOST_M_S / np.maximum(size, 1e-12))
-        self.error_ned_m_s = np.where(on, error, self.error_ned_m_s)
-        self._pos = np.where(fresh[:, None], pos_ned_m, np.where(on, ahead + pull * off, self._pos))
+        self.error_ned_m_s = renewed(rows, self.error_ned_m_s, error)
+        pulled = renewed(rows, self._pos, ahead + pull * off)
+        self._pos = pulled if stays is None else np.where(fresh[:, None], pos_ned_m, pulled)
         # Plain means at first, then those of the last seconds.
-        self._counted_s = np.where(going, self._counted_s + passed_s, self._counted_s)
+        self._counted_s = renewed(stays, self._counted_s, self._counted_s + passed_s)
         share = passed_s / between(self._counted_s, passed_s, _OVER_S)
-        self._square += np.where(going, share * ((self.error_ned_m_s**2).sum(axis=1) - self._square), 0.0)
+        self._square += renewed(stays, 0.0, share * (squares(self.error_ned_m_s) - self._square))
         gone = self._gap_s > _GAP_S
         if some(gone):
             self.forget(gone)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from groundstation.core.quick import finite_rows, length, median, norms
+from groundstation.core.quick import any_of, finite_rows, length, median, norms, renewed, squares
 from groundstation.core.types import BoolArray, FloatArray
 
 GUST_TAU_S = (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -205,24 +205,24 @@ class WindEstimate:
             counts: flies, is steered, and its pose can be believed, shape (n,); the others begin anew.
         """
         counts = counts & finite_rows(vel_ned_m_s) & (down_ned[:, 2] > 0.2)
-        here = counts[:, None]
-        lean = np.where(here, -_GRAVITY_M_S2 * down_ned / np.maximum(down_ned[:, 2:], 0.2), 0.0)
-        vel = np.where(here, vel_ned_m_s, 0.0)
+        away = any_of(~counts[:, None])
+        lean = renewed(away, 0.0, -_GRAVITY_M_S2 * down_ned / np.maximum(down_ned[:, 2:], 0.2))
+        vel = vel_ned_m_s.copy() if away is None else np.where(away, 0.0, vel_ned_m_s)
         lean[:, 2] = vel[:, 2] = 0.0
-        sent = np.where(here, sent_ned_m_s, 0.0) * _LEVEL
-        new = (~counts | (self._age_s == 0.0))[:, None]
+        sent = renewed(away, 0.0, sent_ned_m_s) * _LEVEL
+        new = any_of((~counts | (self._age_s == 0.0))[:, None])
         self._age_s = np.where(counts, self._age_s + passed_s, 0.0)
         step = min(passed_s / _SMOOTH_S, 1.0)
         self._pace(passed_s)
-        self._model = np.where(new, vel, self._model + self._lag_share * (sent - self._model))
-        self._own = np.where(new, vel, self._own + step * (self._model - self._own))
-        self._lean = np.where(new, lean, self._lean + step * (lean - self._lean))
-        self._vel = np.where(new, vel, self._vel + step * (vel - self._vel))
+        self._model = renewed(new, vel, self._model + self._lag_share * (sent - self._model))
+        self._own = renewed(new, vel, self._own + step * (self._model - self._own))
+        self._lean = renewed(new, lean, self._lean + step * (lean - self._lean))
+        self._vel = renewed(new, vel, self._vel + step * (vel - self._vel))
         push = (vel - self._vel) / _SMOOTH_S - self._lean + self._drag * self._own
         size = norms(push)[..., None]
         unsure = _OWN_SHARE * self._drag * norms(self._own)[..., None]
         push = push * np.maximum(1.0 - unsure / np.maximum(size, 1e-9), 0.0)
-        self.push_m_s2 = np.where(new, 0.0, push)
+        self.push_m_s2 = renewed(new, 0.0, push)
         self._expect(new)
         self._count(passed_s, counts)
 
@@ -233,24 +233,25 @@ class WindEstimate:
             self._lag_share, self._settle_share = _share(passed_s, self._lag_s), _share(passed_s, self._settle_s)
             self._push_share = _share(passed_s, self._push_lag_s)
 
-    def _expect(self, new: BoolArray) -> None:
+    def _expect(self, new: BoolArray | None) -> None:
         """What the push makes of a velocity loop: at once, less what its integral holds against by now."""
         held = self._held + self._settle_share * (self.push_m_s2 - self._held)
-        self._held = np.where(new, 0.0, held)
+        self._held = renewed(new, 0.0, held)
         target = self._push_lag_s * (self.push_m_s2 - self._held)
         expected = self.expected_m_s + self._push_share * (target - self.expected_m_s)
-        self.expected_m_s = np.where(new, 0.0, expected)
+        self.expected_m_s = renewed(new, 0.0, expected)
 
     def _count(self, passed_s: float, counts: BoolArray) -> None:
         """Mean and spread of the pushes, and the wind that they are made by."""
         age_s = np.maximum(self._age_s - _NEW_S, 0.0)
-        old = age_s > 0.0
+        young = any_of(age_s <= 0.0)
+        young_rows = None if young is None else young[:, None]
         since_s = np.maximum(age_s, max(passed_s, 1e-9))
-        gain = np.where(old, passed_s / np.minimum(since_s, _MEAN_S), 0.0)[:, None]
-        self._slow = np.where(old[:, None], self._slow + gain * (self.push_m_s2 - self._slow), 0.0)
-        rest = ((self.push_m_s2 - self._slow) ** 2).sum(axis=1) / 2.0
-        gain = np.where(old, passed_s / np.minimum(since_s, _SPREAD_S), 0.0)
-        self._square = np.where(old, self._square + gain * (rest - self._square), 0.0)
+        gain = (passed_s / np.minimum(since_s, _MEAN_S))[:, None]
+        self._slow = renewed(young_rows, 0.0, self._slow + gain * (self.push_m_s2 - self._slow))
+        rest = squares(self.push_m_s2 - self._slow) / 2.0
+        gain = passed_s / np.minimum(since_s, _SPREAD_S)
+        self._square = renewed(young, 0.0, self._square + gain * (rest - self._square))
         seen = (counts & (age_s >= _KNOWN_S)).nonzero()[0]
         self.known = bool(len(seen))
         if not self.known:

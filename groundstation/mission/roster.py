@@ -9,7 +9,7 @@ Decides nothing: the runner, the phases and the operator's orders say what becom
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 from typing import TypeVar
 
@@ -49,6 +49,19 @@ class Duty(IntEnum):
 _CLIMBS, _FORMATION, _HOMEWARD, _LANDS, _LANDS_HERE, _RELEASED, _KILLED = map(int, list(Duty)[1:])
 
 
+class _kept:  # noqa: N801 - a decorator, like property
+    """A mask that is asked for many times a tick: worked out once, until a duty changes; not to be written."""
+
+    def __init__(self, make: Callable[[Duties], BoolArray]) -> None:
+        self._make, self.__doc__ = make, make.__doc__
+
+    def __get__(self, duties: Duties, _kind: object = None) -> BoolArray:
+        """Called where the mask is not there: from then on it is found before this."""
+        mask = duties.__dict__[self._make.__name__] = self._make(duties)
+        mask.flags.writeable = False
+        return mask
+
+
 class Duties:
     """The duties of n vehicles, and who counts for what; for those that only look.
 
@@ -68,69 +81,74 @@ class Duties:
         self._place_ned_m: FloatArray = places_ned_m.copy()
         self._elsewhere: BoolArray = np.zeros(n, dtype=np.bool_)
 
+    def _changed(self) -> None:
+        """What was worked out of duties holds no longer."""
+        for name in _MASKS:
+            self.__dict__.pop(name, None)
+
     def duty(self, vehicle: int) -> Duty:
         """What one vehicle is to do."""
         return Duty(int(self._duty[vehicle]))
 
-    @property
+    @_kept
     def ours(self) -> BoolArray:
         """Neither released nor killed: monitors judge them, commands go to them, shape (n,)."""
         mask: BoolArray = self._duty < _RELEASED
         return mask
 
-    @property
+    @_kept
     def killed(self) -> BoolArray:
         """Motors are to stop, shape (n,)."""
         mask: BoolArray = self._duty == _KILLED
         return mask
 
-    @property
+    @_kept
     def climbing(self) -> BoolArray:
         """Climbs by command and has not arrived, shape (n,)."""
         mask: BoolArray = self._duty == _CLIMBS
         return mask
 
-    @property
+    @_kept
     def in_formation(self) -> BoolArray:
         """Flies with the team, or is on its way up to it, shape (n,)."""
         mask: BoolArray = (self._duty == _FORMATION) | (self._duty == _CLIMBS)
         return mask
 
-    @property
+    @_kept
     def homeward(self) -> BoolArray:
         """Flies home apart from the formation, and does not land yet, shape (n,)."""
         mask: BoolArray = self._duty == _HOMEWARD
         return mask
 
-    @property
+    @_kept
     def steered(self) -> BoolArray:
         """Gets setpoints, shape (n,); while it lands they are to stand still."""
         mask: BoolArray = (self._duty > _CLIMBS) & (self._duty < _RELEASED)
         return mask
 
-    @property
+    @_kept
     def follows(self) -> BoolArray:
         """Is ours and was not told to land, so that it should do what setpoints say, shape (n,)."""
         return self.ours & ~self.told_to_land
 
-    @property
+    @_kept
     def waited_for(self) -> BoolArray:
         """Those that the way home is not over without, as far as their duty tells, shape (n,)."""
         return self.ours & ~self.lands_here
 
-    @property
+    @_kept
     def lands(self) -> BoolArray:
         """Is to land, told or not, shape (n,)."""
         mask: BoolArray = (self._duty == _LANDS) | (self._duty == _LANDS_HERE)
         return mask
 
-    @property
+    @_kept
     def lands_here(self) -> BoolArray:
         """Is to land where it is while others fly, shape (n,): it comes down, and nobody may stay under it."""
         mask: BoolArray = self._duty == _LANDS_HERE
         return mask
 
-    @property
+    @_kept
     def told_to_land(self) -> BoolArray:
         """Was told to land: it may leave the mode that follows us, and disarm, shape (n,)."""
         mask: BoolArray = self._told_ns != NEVER
@@ -166,6 +184,9 @@ class Duties:
         return np.where((self.lands_here | self._elsewhere)[:, None], self._place_ned_m, others_ned_m)
 
 
+_MASKS = tuple(name for name, item in vars(Duties).items() if isinstance(item, _kept))
+
+
 class Roster(Duties):
     """The duties of n vehicles, for those that say what becomes of whom."""
 
@@ -173,15 +194,18 @@ class Roster(Duties):
         """A take-over holds a vehicle from now on, to bring it home."""
         if self._duty[vehicle] == Duty.UNTAKEN:
             self._duty[vehicle] = Duty.HOMEWARD
+            self._changed()
 
     def let_go(self, vehicle: int) -> None:
         """A take-over holds a vehicle no longer: its pilot has it, or it has come down. The only way to soften."""
         if self._duty[vehicle] == Duty.HOMEWARD:
             self._duty[vehicle] = Duty.UNTAKEN
+            self._changed()
 
     def end_climb(self, vehicles: BoolArray) -> None:
         """Setpoints do the rest of these climbs, shape (n,)."""
         self._duty[vehicles & self.climbing] = Duty.FORMATION
+        self._changed()
 
     def go_home(self, vehicles: Iterable[int]) -> None:
         """They leave the formation for their pads."""
@@ -208,6 +232,7 @@ class Roster(Duties):
         news = [vehicle for vehicle in ours if self._duty[vehicle] < Duty.LANDS]
         self._place_ned_m[ours] = places_ned_m[ours]
         self._duty[ours] = Duty.LANDS_HERE
+        self._changed()
         self._lands_since_ns[news] = now_ns
         return news
 
@@ -222,6 +247,7 @@ class Roster(Duties):
             raise ValueError(f"vehicle in row {vehicle} is told to land, and is to be {self.duty(vehicle).name}")
         if self._told_ns[vehicle] == NEVER:
             self._told_ns[vehicle] = now_ns
+            self._changed()
 
     def release(self, vehicles: Iterable[int]) -> None:
         """They are no longer ours."""
@@ -232,11 +258,15 @@ class Roster(Duties):
         for vehicle in vehicles:
             self._duty[vehicle] = Duty.KILLED
             self._killed_ns[vehicle] = now_ns
+        self._changed()
 
     def _harden(self, vehicles: Iterable[int], duty: Duty) -> list[int]:
         """Gives a duty to those that have a milder one; returns them."""
-        harder = [vehicle for vehicle in vehicles if self._duty[vehicle] < duty]
-        self._duty[harder] = duty
+        duties = self._duty.tolist()
+        harder = [vehicle for vehicle in vehicles if duties[vehicle] < duty]
+        if harder:
+            self._duty[harder] = duty
+            self._changed()
         return harder
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from groundstation.core.quick import between, every, length, norms, some
+from groundstation.core.quick import any_of, between, every, length, norms, renewed, some, squares
 from groundstation.core.types import FloatArray
 
 SHAPES = [(0,), (1,), (8,), (8, 3), (8, 8, 3), (2, 8, 8, 3)]
@@ -37,3 +37,18 @@ def test_lengths_and_bounds_are_those_of_numpy_to_the_bit(shape: tuple[int, ...]
         assert between(vectors, 0.0, np.abs(vectors)).tobytes() == np.clip(vectors, 0.0, np.abs(vectors)).tobytes()
     vector = numbers.ravel()[~np.isnan(numbers.ravel())]
     assert length(vector) == np.linalg.norm(vector)
+
+
+@pytest.mark.parametrize("new", [(False, False, False), (True, False, True), (True, True, True)])
+def test_what_is_new_begins_anew_and_all_else_goes_on(new: tuple[bool, ...]) -> None:
+    mask, later = np.array(new)[:, None], np.arange(6.0).reshape(3, 2)
+    for first in (0.0, np.full((3, 2), 7.0)):
+        assert renewed(any_of(mask), first, later).tolist() == np.where(mask, first, later).tolist()
+    assert (any_of(mask) is None) == (not any(new))
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (1, 3), (8, 3), (5, 2)])
+def test_squares_are_those_of_numpy_to_the_bit(shape: tuple[int, ...]) -> None:
+    vectors = np.random.default_rng(3).standard_normal(shape) * 1e3
+    for of_any_order in (vectors, np.asfortranarray(vectors)):
+        assert squares(of_any_order).tobytes() == (vectors**2).sum(axis=-1).tobytes()

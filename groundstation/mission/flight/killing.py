@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray
 from groundstation.mavlink.commands import CommandQueue
 from groundstation.mavlink.vehicle import NEVER, Fleet
@@ -41,12 +42,17 @@ class Killing:
 
     def step(self, now_ns: int) -> None:
         """Asks again, without end, as long as the vehicle has not shown that it is disarmed."""
-        for vehicle in (self.not_shown(now_ns) & self._asking.all_due(now_ns)).nonzero()[0].tolist():
+        not_shown = self.not_shown(now_ns)
+        if not some(not_shown):
+            return
+        for vehicle in (not_shown & self._asking.all_due(now_ns)).nonzero()[0].tolist():
             self._commands.request(vehicle, self._plan.autopilots[vehicle].kill())
             self._asking.asked(vehicle, now_ns)
 
     def not_shown(self, now_ns: int) -> BoolArray:
         """Vehicles that shall be dead and have not shown it yet, shape (n,); worked out once a tick."""
+        if not some(self._roster.killed):
+            return self._roster.killed
         if self._looked_ns != now_ns:
             shown: BoolArray = ~self._fleet.armed & (self._fleet.heartbeat_ns > self._roster.killed_ns + _NEWER_NS)
             self._looked_ns, self._not_shown = now_ns, self._roster.killed & ~shown
@@ -58,4 +64,6 @@ class Killing:
 
     def falling(self, now_ns: int) -> BoolArray:
         """Vehicles that may be on their way down, shape (n,)."""
+        if not some(self._roster.killed):
+            return self._roster.killed
         return self._roster.killed & (self.not_shown(now_ns) | (now_ns - self._roster.killed_ns < _FALLS_NS))

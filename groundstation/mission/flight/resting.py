@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.core.quick import finite_rows
+from groundstation.core.quick import finite_rows, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.plan.plan import MissionPlan
 
@@ -28,9 +28,16 @@ class Rest:
     def __init__(self, n: int) -> None:
         self.place_ned_m: FloatArray = np.full((n, 3), np.nan)
         self.moved_ned_m: FloatArray = np.zeros((n, 3))
+        self._stood = False
 
     def take(self, pos_ned_m: FloatArray, stands: BoolArray) -> None:
         """Takes positions of a tick, shape (n, 3), and who stands, shape (n,)."""
+        if not some(stands):
+            if self._stood:
+                self.place_ned_m, self.moved_ned_m = np.full_like(pos_ned_m, np.nan), np.zeros_like(pos_ned_m)
+            self._stood = False
+            return
+        self._stood = True
         known = finite_rows(pos_ned_m)
         new = stands & known & np.isnan(self.place_ned_m[:, 0])
         self.place_ned_m = np.where(stands[:, None], self.place_ned_m, np.nan)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import norms, some
+from groundstation.core.quick import every, norms, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.flight.poses import Poses
 from groundstation.mission.plan.plan import MissionPlan
@@ -80,6 +80,9 @@ class _Steps:
         more_m = pos_ned_m - self._pos - 0.5 * passed_s * (self._vel + vel_ned_m_s)
         # Not with what is no number; what is absurd comes and goes in two ticks, and both are left out.
         told = counts & (norms(more_m) < _ABSURD_M)
+        if every(told):
+            self._pos, self._vel = pos_ned_m.copy(), vel_ned_m_s.copy()
+            return more_m
         self._pos = np.where(counts[:, None], pos_ned_m, np.nan)
         self._vel = vel_ned_m_s.copy()
         return np.where(told[:, None], more_m, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from groundstation.core.limits import Fence
 from groundstation.core.metrics import near_pairs
-from groundstation.core.quick import length, norms, some
+from groundstation.core.quick import any_of, length, norms, renewed, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, LastingOf, Reaction, Sight
 from groundstation.mission.monitors.headings import Headings
@@ -82,14 +82,15 @@ class Following:
         passed_s = min(self._since_before(sight.now_ns), 0.2)
         counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
-        new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]
+        new = any_of(~(self._steered_s > _NEW_IN_AIR_S)[:, None])
         step = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None]
         sent = self._headings.flown(sight.sent_ned_m_s)
-        self._model = np.where(new, sight.vel_ned_m_s, self._model + step * (sent - self._model))
+        self._model = renewed(new, sight.vel_ned_m_s, self._model + step * (sent - self._model))
         error = self._error + passed_s / _SMOOTH_S * (sight.vel_ned_m_s - self._model - self._error)
-        self._error = np.where(new | ~np.isfinite(error), 0.0, error)
+        unknown = any_of(~np.isfinite(error))
+        self._error = renewed(new, 0.0, renewed(unknown, 0.0, error))
         carried = self._carried + passed_s / _SMOOTH_S * (self._wind.carried_m_s - self._carried)
-        self._carried = np.where(new, 0.0, carried)
+        self._carried = renewed(new, 0.0, carried)
         off_m_s = norms(unexplained(self._error, self._carried))
         away = off_m_s > self._limit_m_s
         for vehicle in self._first(away, sight.now_ns):

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from groundstation.core.quick import some
+from groundstation.core.quick import any_of, renewed, some, squares
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import Finding, Lasting, Reaction, Sight
 from groundstation.mission.monitors.wind import Wind, unexplained
@@ -66,22 +66,26 @@ class Headings:
         passed_s = min(self._since_before(sight.now_ns), 0.2)
         counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
-        new = ~(self._steered_s > _NEW_IN_AIR_S)[:, None]
+        new = any_of(~(self._steered_s > _NEW_IN_AIR_S)[:, None])
         moves = sight.vel_ned_m_s - sight.vel_error_ned_m_s
         # A delay and a lag: two lags, which is near enough for a direction.
         late = np.minimum(passed_s / np.maximum(self._delay_s, passed_s), 1.0)[:, None] if passed_s > 0.0 else 1.0
         lags = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None] if passed_s > 0.0 else 1.0
-        self._late = np.where(new, sight.sent_ned_m_s, self._late + late * (sight.sent_ned_m_s - self._late))
-        self._model = np.where(new, moves, self._model + lags * (self._late - self._model))
+        self._late = renewed(new, sight.sent_ned_m_s, self._late + late * (sight.sent_ned_m_s - self._late))
+        self._model = renewed(new, moves, self._model + lags * (self._late - self._model))
         carried = unexplained(moves - self._model, self._wind.carried_m_s)
         told, flown = self._model[:, :2], (self._model + carried)[:, :2]
         share = min(passed_s / _FORGETS_S, 1.0)
-        both = np.stack([(told * flown).sum(axis=1), told[:, 0] * flown[:, 1] - told[:, 1] * flown[:, 0]], axis=1)
-        told_square, flown_square = (told**2).sum(axis=1), (flown**2).sum(axis=1)
-        fresh = new[:, 0] | ~np.isfinite(flown_square)
-        self._told = np.where(fresh, 0.0, self._told + share * (told_square - self._told))
-        self._flown = np.where(fresh, 0.0, self._flown + share * (flown_square - self._flown))
-        self._both = np.where(fresh[:, None], 0.0, self._both + share * (both - self._both))
+        both = np.empty(told.shape)
+        both[:, 0] = np.add.reduce(told * flown, axis=1)
+        both[:, 1] = told[:, 0] * flown[:, 1] - told[:, 1] * flown[:, 0]
+        told_square, flown_square = squares(told), squares(flown)
+        unknown = ~np.isfinite(flown_square)
+        fresh = any_of(unknown if new is None else new[:, 0] | unknown)
+        self._told = renewed(fresh, 0.0, self._told + share * (told_square - self._told))
+        self._flown = renewed(fresh, 0.0, self._flown + share * (flown_square - self._flown))
+        rows = None if fresh is None else fresh[:, None]
+        self._both = renewed(rows, 0.0, self._both + share * (both - self._both))
         clear = self._clear()
         off = clear & self._turned()
         news = self._off(off, sight.now_ns)

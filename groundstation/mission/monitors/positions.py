@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from groundstation.core.quick import between, equal_rows, every, norms, some
+from groundstation.core.quick import any_of, between, equal_rows, every, norms, renewed, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.poses import Poses, changed
@@ -97,16 +97,19 @@ class PoseJump:
             good: whose velocity was good until now, shape (n,); everybody's when left out.
             calm: whose velocity has agreed with its positions for seconds, shape (n,); nobody's when left out.
         """
-        new = self._at_ns == NEVER
-        passed_s = np.where(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
+        new = any_of(self._at_ns == NEVER)
+        passed_s = renewed(new, 0.0, (now_ns - self._at_ns) / SECOND_NS)[:, None]
         moved = poses.pos_team_ned_m - self._pos - 0.5 * (self._vel + poses.vel_ned_m_s) * passed_s
-        apart_m = self._apart_m * np.exp(-passed_s / _FORGETS_S) + np.where(new[:, None], 0.0, moved)
+        moved = renewed(None if new is None else new[:, None], 0.0, moved)
+        apart_m = self._apart_m * np.exp(-passed_s / _FORGETS_S) + moved
         # Over a gap in the reports the velocity may have changed unseen.
-        gap_s = np.where(new, 0.0, (pose_ns - self._pose_ns) / SECOND_NS)
-        gap_s = np.where(gap_s > _GAP_S, np.minimum(gap_s, _GAP_MAX_S), 0.0)
+        gap_s = renewed(new, 0.0, (pose_ns - self._pose_ns) / SECOND_NS)
+        gap = any_of(gap_s > _GAP_S)
+        gap_s = np.zeros(len(gap_s)) if gap is None else np.where(gap, np.minimum(gap_s, _GAP_MAX_S), 0.0)
         away_m = norms(apart_m)
         silent = now_ns - pose_ns > self._silent_ns
-        counts = ~silent & (gap_s == 0.0) & (True if airborne is None else airborne)
+        counts = ~silent if gap is None else ~silent & ~gap
+        counts = counts if airborne is None else counts & airborne
         parting = counts if good is None else counts & good
         away_m = np.fmax(away_m, self._astray.take(poses, counts, parting, away_m, now_ns))
         if calm is not None:
@@ -122,14 +125,18 @@ class PoseJump:
         self._lasts = self._away(away, now_ns, round(_SUSPECT_S * SECOND_NS))
         self.suspect = away | self._told
         self._pose_ns = pose_ns
+        self._off = _Off(away_m, allowed_m, kick_m_s)
+        apart_m = renewed(None if gap is None else gap[:, None], 0.0, apart_m)
+        if not some(self.suspect):
+            self._apart_m, self._pos, self._vel = apart_m, poses.pos_team_ned_m.copy(), poses.vel_ned_m_s.copy()
+            self._at_ns[:] = now_ns
+            self._astray.lead_on(self._pos, self._vel, poses, self._told, now_ns)
+            return poses
         believed = ~self.suspect
-        self._apart_m[believed] = np.where((gap_s > 0.0)[:, None], 0.0, apart_m)[believed]
+        self._apart_m[believed] = apart_m[believed]
         self._pos[believed], self._vel[believed] = poses.pos_team_ned_m[believed], poses.vel_ned_m_s[believed]
         self._at_ns[believed] = now_ns
-        self._off = _Off(away_m, allowed_m, kick_m_s)
         self._astray.lead_on(self._pos, self._vel, poses, self._told & ~silent, now_ns)
-        if every(believed):
-            return poses
         # It was told to stand still, and carries on for a moment.
         carried = self._pos + self._vel * np.minimum(passed_s, _REACH_S)[:, None]
         rows = self.suspect[:, None]
@@ -244,10 +251,13 @@ class Frozen:
         """Lands those whose position stands still to the last bit."""
         fleet = sight.fleet
         same = equal_rows(fleet.pos_local_ned_m, self._pos)
-        self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
+        if some(same):
+            self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
+            frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours
+            frozen &= ~sight.excused & ~sight.blind
+        else:
+            self._reports, frozen = np.zeros(len(same), dtype=np.int64), same
         self._pos, self._pose_ns = fleet.pos_local_ned_m.copy(), fleet.pose_ns.copy()
-        frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours
-        frozen &= ~sight.excused & ~sight.blind
         for vehicle in self._lasting(frozen, sight.now_ns):
             what = f"its position has not changed by a bit in {_FROZEN_S:g} s"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy=SEE_TO_POSITION)
@@ -277,14 +287,16 @@ class Frames:
         fleet, limit_m = sight.fleet, self._plan.limits.frame_drift_m
         drifting = sight.drift_m > limit_m  # NaN is not
         restarted, moved = fleet.restarts > self._restarts, fleet.origin_moved_ns > self._origins_ns
-        denied = moved & (fleet.origin_moved_m > _ORIGIN_FAR * limit_m) & (sight.drift_m <= limit_m)
+        denied = moved
+        if some(moved):
+            denied = moved & (fleet.origin_moved_m > _ORIGIN_FAR * limit_m) & (sight.drift_m <= limit_m)
         for vehicle in self._denied(denied & ~restarted & ours & ~sight.excused, sight.now_ns):
             what = (
                 f"an origin {fleet.origin_moved_m[vehicle]:.0f} m from its own is told under its id"
                 " (GPS_GLOBAL_ORIGIN), and neither of its positions has moved; it counts for nothing"
             )
             yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy="find who else speaks on its link")
-        moved &= ~denied
+        moved = moved & ~denied
         for vehicle in self._wrong((restarted | moved | drifting) & ours & ~sight.excused, sight.now_ns):
             if restarted[vehicle]:
                 what, remedy = "its autopilot has started anew", "see to its battery and the plugs of its power"
@@ -297,7 +309,8 @@ class Frames:
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy=remedy)
         twins = fleet.twins_behind_one_address(sight.now_ns)
         found: BoolArray = np.zeros(len(fleet), dtype=np.bool_)
-        found[[row for row in twins if ours[row]]] = True
+        if twins:
+            found[[row for row in twins if ours[row]]] = True
         for vehicle in self._twins(found, sight.now_ns):
             yield Finding(Reaction.ALL_HOME, twins[vehicle], (vehicle,), remedy=OWN_ID)
 

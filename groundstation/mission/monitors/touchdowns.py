@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import between, some
+from groundstation.core.quick import between, every, some, squares
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER, Fleet
 from groundstation.mission.monitors.findings import Finding, Reaction, Sight
@@ -45,6 +45,7 @@ class Touchdowns:
     def __init__(self, plan: MissionPlan) -> None:
         n = plan.size
         self._by_local: BoolArray = np.array([plan.position_message(row) != "GLOBAL_POSITION_INT" for row in range(n)])
+        self._all_by_local = every(self._by_local)
         self._rows: IntArray = np.arange(n)
         self._ground_ned_m: FloatArray = frames.ned_from_enu(plan.pads_enu_m)[:, 2]
         self._near_m = _NEAR_M + plan.margin_m
@@ -63,8 +64,11 @@ class Touchdowns:
         if not some(self._lifted):
             return
         height_m = self._ground_ned_m - sight.pos_team_ned_m[:, 2]
-        found = {row: self._stopped(row) for row in self._stops(new, height_m).nonzero()[0].tolist()}
-        lies = self._lifted & ~sight.airborne & new & (self._now_ns() - self._moves_ns >= _STILL_NS)
+        near = new & self._lifted & (height_m < self._near_m)
+        found = {row: self._stopped(row) for row in self._stops(near).nonzero()[0].tolist()} if some(near) else {}
+        lies = self._lifted & ~sight.airborne & new
+        if some(lies):
+            lies &= self._now_ns() - self._moves_ns >= _STILL_NS
         for row in lies.nonzero()[0].tolist():
             self._lifted[row] = False
             found.setdefault(row, self._lay_down(row))
@@ -78,21 +82,28 @@ class Touchdowns:
 
     def _take(self, fleet: Fleet) -> BoolArray:
         """Keeps the reports that are new; returns whose are, shape (n,)."""
-        local = self._by_local
-        t_ns = np.where(local, fleet.pose_ns, fleet.place_ns)
+        local = None if self._all_by_local else self._by_local
+        t_ns = fleet.pose_ns if local is None else np.where(local, fleet.pose_ns, fleet.place_ns)
         new: BoolArray = t_ns > self._now_ns()
         if not some(new):
             return new
-        self._last[new] = (self._last[new] + 1) % len(self._t_ns)
-        vel = np.where(local[:, None], fleet.vel_ned_m_s, fleet.place_vel_ned_m_s)
-        quat = fleet.quat_ned_from_frd
-        at, who = self._last[new], self._rows[new]
-        self._t_ns[at, who] = t_ns[new]
-        self._values[at, who, _DOWN] = vel[new, 2]
-        self._values[at, who, _ACROSS] = np.hypot(vel[new, 0], vel[new, 1])
-        self._values[at, who, _DEPTH] = np.where(local, fleet.pos_local_ned_m[:, 2], -fleet.place_deg_m[:, 2])[new]
-        cosine = 1.0 - 2.0 * (quat[new, 1] ** 2 + quat[new, 2] ** 2)
-        self._values[at, who, _LEAN] = np.degrees(np.arccos(between(cosine, -1.0, 1.0)))
+        vel, depth_m, quat = fleet.vel_ned_m_s, fleet.pos_local_ned_m[:, 2], fleet.quat_ned_from_frd
+        if local is not None:
+            vel = np.where(local[:, None], vel, fleet.place_vel_ned_m_s)
+            depth_m = np.where(local, depth_m, -fleet.place_deg_m[:, 2])
+        report: FloatArray = np.empty((len(new), 4))
+        report[:, _DOWN], report[:, _DEPTH] = vel[:, 2], depth_m
+        np.hypot(vel[:, 0], vel[:, 1], out=report[:, _ACROSS])
+        lying = quat[:, 1:3]
+        report[:, _LEAN] = np.degrees(np.arccos(between(1.0 - 2.0 * squares(lying), -1.0, 1.0)))
+        following = (self._last + 1) % len(self._t_ns)
+        if every(new):
+            self._last = following
+            self._t_ns[following, self._rows], self._values[following, self._rows] = t_ns, report
+        else:
+            at, who = following[new], self._rows[new]
+            self._last[new] = at
+            self._t_ns[at, who], self._values[at, who] = t_ns[new], report[new]
         moves = new & ~(np.abs(vel[:, 2]) <= _STILL_M_S)
         self._moves_ns[moves] = t_ns[moves]
         return new
@@ -101,8 +112,12 @@ class Touchdowns:
         """When the newest report of each was measured, shape (n,)."""
         return np.asarray(self._t_ns[self._last, self._rows])
 
-    def _stops(self, new: BoolArray, height_m: FloatArray) -> BoolArray:
-        """Whose fall has ended between the last two reports near the ground, as only the ground ends it, shape (n,)."""
+    def _stops(self, near: BoolArray) -> BoolArray:
+        """Whose fall has ended between the last two reports, as only the ground ends it, shape (n,).
+
+        Args:
+            near: who has lifted off, is near the ground and has reported since the tick before, shape (n,).
+        """
         rows, before = self._rows, self._last - 1
         passed_s = np.maximum((self._now_ns() - self._t_ns[before, rows]) / SECOND_NS, 1e-3)
         was, now = self._values[before, rows], self._values[self._last, rows]
@@ -110,7 +125,7 @@ class Touchdowns:
         fell = (was[:, _DOWN] > 0.0) & (np.hypot(was[:, _DOWN], was[:, _ACROSS]) > 0.5 * HARD_M_S)
         # One that tumbles gets faster as hard; what has hit the ground does not go on downwards.
         fell &= (changes_m_s > _STOPS_M_S2 * passed_s) & (now[:, _DOWN] < 0.5 * was[:, _DOWN])
-        return np.asarray(new & fell & self._lifted & (height_m < self._near_m) & (passed_s < _GAP_S))
+        return np.asarray(near & fell & (passed_s < _GAP_S))
 
     def _series(self, row: int) -> tuple[FloatArray, FloatArray]:
         """Times in s, shape (k,), and reports, shape (k, 4), of one vehicle, in order."""

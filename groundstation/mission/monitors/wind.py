@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import between, every, finite_rows, length, norms
+from groundstation.core.quick import between, every, finite_rows, length, norms, squares
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.core.wind import WindEstimate
 from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, Reaction, Sight
@@ -136,5 +136,5 @@ class Wind:
 
 def unexplained(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
     """What is left of errors when the wind explains what it can of them, and nothing besides, shape (n, 3)."""
-    along = (error_m_s * carried_m_s).sum(axis=1) / np.maximum((carried_m_s**2).sum(axis=1), 1e-12)
+    along = np.add.reduce(error_m_s * carried_m_s, axis=1) / np.maximum(squares(carried_m_s), 1e-12)
     return np.asarray(error_m_s - between(along, 0.0, 1.0)[:, None] * carried_m_s)
