@@ -27,7 +27,7 @@ _TIMES = {TakeOff: 3, GoTo: 3, HighLevelStop: 3}
 """How often it is asked for; a landing until it is answered."""
 _NUMBER = {HighLevelStop: 3, TakeOff: 7, LandAt: 8, GoTo: 12}
 _WORDS = {HighLevelStop: "to stand", TakeOff: "to take off", LandAt: "to land", GoTo: "to go to a place"}
-_BUSY = 16
+_NOT_NOW, _BUSY = 1, 16
 HighLevel = TakeOff | LandAt | GoTo | HighLevelStop
 
 
@@ -56,10 +56,11 @@ class Asked:
         if order is None or _NUMBER[type(order)] != number:
             return None
         self._order = None
-        if error == 0:
+        done = error == _NOT_NOW and (isinstance(order, LandAt) or self._times > 1)  # it has begun already
+        if error == 0 or done:
             return None
-        why = "its supervisor lets it not" if error == _BUSY else f"error {error}"
-        return f"its firmware refuses {_WORDS[type(order)]}: {why}"
+        why = {_NOT_NOW: "it is flown by another command or by setpoints", _BUSY: "its supervisor lets it not"}
+        return f"its firmware refuses {_WORDS[type(order)]}: {why.get(error, f'error {error}')}"
 
     def due(self, now_ns: int) -> list[Order]:
         """What is to be asked for again."""

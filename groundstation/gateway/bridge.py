@@ -134,6 +134,7 @@ class Bridge:
             if name in LIMITS:
                 self.settings.set_value(name, value)
         self._resumed = True
+        self._variance_m2 = _VARIANCE_GOOD_M2  # as it was a moment ago; what it logs of that comes half a second later
         self._external_ns = now_ns if in_a_room else 0
         self.pilot.resume(home_enu_m, now_ns)
         self._text(_WARNING, "its gateway has begun anew; it stays where it is")

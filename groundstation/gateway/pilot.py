@@ -174,7 +174,10 @@ class Pilot:
         if not (math.isfinite(height_m) and 0.1 <= height_m <= 20.0):
             return f"takeoff height {height_m:g} m, limits 0.1 and 20"
         duration_s = height_m / _TAKE_OFF_M_S + _EASE_S
-        self.orders.append(TakeOff(self._pose.pos_enu_m[2] + height_m, duration_s))
+        # Firmware takes off only out of rest, which a client that has closed its link has ended by a setpoint.
+        self.orders += [
+            SetpointsStop(), HighLevelStop(), TakeOff(self._pose.pos_enu_m[2] + height_m, duration_s),
+        ]  # fmt: skip
         self._climbs_until_ns = now_ns + round(duration_s * SECOND_NS)
         self._velocity = None
         return None

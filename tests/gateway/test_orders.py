@@ -127,3 +127,11 @@ def test_each_firmware_is_armed_brought_round_and_stopped_as_cflib_does_it(proto
     assert [armed, recovered] == sent[:2]
     bridge.pilot.kill()
     assert sent[2] in [packet_of(order, {}) for order in bridge.take_orders()]
+
+
+def test_one_whose_last_client_has_closed_its_link_takes_off_all_the_same() -> None:
+    room, world = _room()
+    world.receive(0, b"\x3c" + bytes(14), room.now_ns)  # what cflib sends then: roll, pitch, yaw, thrust 0
+    room.run(0.1)
+    room.fly()
+    assert room.stage == "FLYING"

@@ -340,3 +340,19 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 def test_it_does_not_sign() -> None:
     with pytest.raises(ValueError, match="crazyflie does not sign, it speaks no MAVLink"):
         World(WorldConfig(vehicles=fleet(1, autopilot="crazyflie", signing_key=bytes(32))), 1)
+
+
+def test_it_takes_off_out_of_rest_only_as_the_firmware_does() -> None:
+    room = Room()
+    takeoff, land = struct.pack("<BBff?f", 7, 0, 1.0, 0.0, True, 2.0), struct.pack("<BBff?f", 8, 0, 0.0, 0.0, True, 2.0)
+    assert room.bits() & 0x700 == 0x200  # rests: has finished, is not disabled
+    room.send(3, 0, bytes(14))  # a client closes its link
+    room.run(0.1)
+    assert room.bits() & 0x400
+    assert room.ask(HIGH_LEVEL, 0, takeoff)[-1] == 1
+    room.send(GENERIC, 1, struct.pack("<BI", 0, 0))
+    assert room.ask(HIGH_LEVEL, 0, bytes((3, 0)))[-1] == 0
+    assert room.ask(HIGH_LEVEL, 0, takeoff)[-1] == 0
+    room.run(3.0)
+    assert room.ask(HIGH_LEVEL, 0, takeoff)[-1] == 1
+    assert [room.ask(HIGH_LEVEL, 0, land)[-1] for _ in range(2)] == [0, 1]

@@ -21,6 +21,7 @@ from pathlib import Path
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
+from cflib.crazyflie.toc import Toc
 from cflib.crtp.crtpstack import CRTPPacket
 
 from groundstation.gateway.measured import POSE_VARIABLES, STATUS_MS, STATUS_VARIABLES
@@ -105,10 +106,11 @@ class CflibVehicle:
 
     def __init__(self, number: int, uri: str, inbox: Inbox, cache: Path, pose_hz: float) -> None:
         self.uri = uri
-        self._number, self._inbox, self._cache = number, inbox, cache
+        self.number, self._inbox, self._cache = number, inbox, cache
         self._period_ms = 10 * max(1, round(100.0 / pose_hz))
         self._cf: Crazyflie | None = None
         self._poses: LogConfig | None = None
+        self._answered_ever = False
         self._outbox = Outbox()
         self._news = threading.Condition()
         self._ends = False
@@ -121,6 +123,17 @@ class CflibVehicle:
             first: what the vehicle is told as soon as its link is open, before the connection is complete.
         """
         threading.Thread(target=self._open, args=(tuple(first),), name=f"connects {self.uri}", daemon=True).start()
+
+    def progress(self) -> tuple[int, str]:
+        """How far the connection is: a number that grows, and words."""
+        cf = self._cf
+        if cf is None or not self._answered_ever:
+            return 0, "no answer"
+        entries = sum(_entries(part.toc) for part in (cf.log, cf.param) if part.toc is not None)
+        values = sum(len(group) for group in list(cf.param.values.values()))
+        if not values:
+            return 1 + entries, f"answers, {entries} entries of its tables"
+        return 1 + entries + values, f"answers, {values} of {_entries(cf.param.toc)} parameters"
 
     def obey(self, order: Order) -> None:
         """Takes an order, in their sequence; a velocity that waits is replaced by a newer one."""
@@ -147,7 +160,9 @@ class CflibVehicle:
         if old is not None and old.link is not None:
             with suppress(Exception):
                 old.link.close()
+        self._answered_ever = False
         cf = Crazyflie(rw_cache=str(self._cache))
+        cf.link_established.add_callback(lambda _uri: self._begins(cf))
         cf.connected.add_callback(lambda _uri: self._log(cf))
         cf.fully_connected.add_callback(lambda _uri: self._ready(cf))
         for ended in (cf.connection_failed, cf.connection_lost):
@@ -160,15 +175,18 @@ class CflibVehicle:
             with suppress(Exception):  # cflib raises whatever its drivers raise, and tells of it by its callbacks
                 send(cf, order)
 
+    def _begins(self, cf: Crazyflie) -> None:
+        self._answered_ever = self._answered_ever or cf is self._cf
+
     def _echoed(self, packet: CRTPPacket) -> None:
         number = echo_number(bytes(packet.data)) if packet.channel == 0 else None
         if number is not None:
-            self._inbox.put(Heard(self._number, "echo", stamp_ms=number))
+            self._inbox.put(Heard(self.number, "echo", stamp_ms=number))
 
     def _answered(self, packet: CRTPPacket) -> None:
         data = bytes(packet.data)
         if len(data) >= ANSWER_BYTES:
-            self._inbox.put(Heard(self._number, "answer", values={"error": float(data[3])}, stamp_ms=data[0]))
+            self._inbox.put(Heard(self.number, "answer", values={"error": float(data[3])}, stamp_ms=data[0]))
 
     def _log(self, cf: Crazyflie) -> None:
         for name, period_ms, variables in (
@@ -188,23 +206,23 @@ class CflibVehicle:
                 self._poses = block
 
     def _logged(self, stamp_ms: int, values: dict[str, float], _block: object) -> None:
-        self._inbox.put(Heard(self._number, "log", values=values, stamp_ms=stamp_ms))
+        self._inbox.put(Heard(self.number, "log", values=values, stamp_ms=stamp_ms))
 
     def _ready(self, cf: Crazyflie) -> None:
         params = {}
         for group, names in cf.param.toc.toc.items():
             for name, element in names.items():
                 params[f"{group}.{name}"] = (float(cf.param.values[group][name]), _KINDS.get(element.ctype, 9))
-        self._inbox.put(Heard(self._number, "connected", protocol=cf.platform.get_protocol_version(), params=params))
+        self._inbox.put(Heard(self.number, "connected", protocol=cf.platform.get_protocol_version(), params=params))
         cf.param.add_update_callback(cb=self._param)
         cf.link_statistics.stop()  # its ten echoes a second are not in the budget; ours are
 
     def _param(self, name: str, value: str) -> None:
-        self._inbox.put(Heard(self._number, "param", values={name: float(value)}))
+        self._inbox.put(Heard(self.number, "param", values={name: float(value)}))
 
     def _lost(self, cf: Crazyflie, words: str) -> None:
         if cf is self._cf:
-            self._inbox.put(Heard(self._number, "lost", words=words.strip().splitlines()[0] if words.strip() else ""))
+            self._inbox.put(Heard(self.number, "lost", words=words.strip().splitlines()[0] if words.strip() else ""))
 
     def _send_all(self) -> None:
         while True:
@@ -230,6 +248,10 @@ class CflibVehicle:
         if block is not None:
             block.period = max(1, round(100.0 / hz))
             block.start()
+
+
+def _entries(toc: Toc) -> int:
+    return sum(len(group) for group in list(toc.toc.values()))
 
 
 def send(cf: Crazyflie, order: Order) -> None:

@@ -24,6 +24,7 @@ from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.gateway.bridge import Bridge
 from groundstation.gateway.handover import Handover, RoomWord, read, read_room
+from groundstation.gateway.orders import Order
 from groundstation.gateway.relay import Relay
 from groundstation.links.link import Link
 from groundstation.links.opening import open_link
@@ -34,6 +35,7 @@ _TICK_NS = 10_000_000
 _RETRY_NS = 3_000_000_000
 _LATE_NS = 100_000_000
 _SAY_AGAIN_NS = 5_000_000_000
+_STUCK_NS = 10_000_000_000  # a connection that gets no further for so long is begun anew
 _EARLY_NS = 15_000_000_000  # so long those that are said to fly are waited for
 
 
@@ -47,6 +49,9 @@ class _Served:
     connected: bool = False
     retry_ns: int | None = None
     late_said_ns: int = -_SAY_AGAIN_NS
+    progress: int = -1
+    moved_ns: int = 0
+    said_ns: int = 0
 
 
 class Gateway:
@@ -103,7 +108,7 @@ class Gateway:
             if told.flies:
                 now_ns = self._clock.now_ns()
                 item.bridge.resume(told.home_enu_m, told.settings, now_ns, in_a_room=self._room is not None)
-            item.link.connect(item.bridge.take_orders())
+            self._connect(item, item.bridge.take_orders())
         if stay:
             self._say(f"vehicles {', '.join(str(item.sysid) for item in stay)} fly: they are told to stay")
 
@@ -161,7 +166,9 @@ class Gateway:
         for item in self._vehicles:
             if item.retry_ns is not None and now_ns >= item.retry_ns:
                 item.retry_ns = None
-                item.link.connect()
+                self._connect(item)
+            elif item.retry_ns is None and not item.connected:
+                self._look_at(item, now_ns)
             item.bridge.tick(now_ns)
         bridges = {item.sysid: item.bridge for item in self._vehicles}
         for broadcast in self._broadcasts:
@@ -173,6 +180,21 @@ class Gateway:
                 item.link.obey(order)
             self._send(item.bridge.take_frames())
         return ready
+
+    def _connect(self, item: _Served, first: Sequence[Order] = ()) -> None:
+        item.progress, item.moved_ns, item.said_ns = -1, self._clock.now_ns(), self._clock.now_ns()
+        item.link.connect(first)
+
+    def _look_at(self, item: _Served, now_ns: int) -> None:
+        """Tells how a connection gets on; one that gets no further is begun anew, unless the vehicle is heard."""
+        progress, words = item.link.progress()
+        if progress != item.progress:
+            item.progress, item.moved_ns = progress, now_ns
+        if now_ns - item.moved_ns >= _STUCK_NS and not item.bridge.pilot.fresh(now_ns):
+            self._take(Heard(item.link.number, "lost", words=f"{words}, no further for {_STUCK_NS / 1e9:g} s"), now_ns)
+        elif now_ns - item.said_ns >= _SAY_AGAIN_NS:
+            item.said_ns = now_ns
+            self._say(f"vehicle {item.sysid}: {item.link.uri}: {words} yet")
 
     def _relay(self, now_ns: int) -> None:
         """Tells vehicles where they are while the flight does not."""

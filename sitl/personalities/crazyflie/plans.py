@@ -1,7 +1,9 @@
 """The high-level commander: takeoff, landing, going to a place, along a smooth path; and what it answers.
 
 Paths are polynomials of degree 7 that begin and end at rest, as the firmware plans them; one that begins while another
-is flown is planned from where that stood, without its speed. Trajectories and spirals are answered with an error.
+is flown is planned from where that stood, without its speed. Takes off only at rest, as the firmware does:
+not while it flies, nor after setpoints of a client before it was told to stop. Trajectories and spirals are answered
+with an error.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from sitl.config import SECOND
 from sitl.setpoints import Setpoint
 
 _GROUP, _STOP, _GO_TO, _TAKEOFF, _LAND, _GO_TO_2 = 0, 3, 4, 7, 8, 12
-_NO_COMMAND, _INVALID = 8, 22
+_NOT_NOW, _NO_COMMAND, _INVALID = 1, 8, 22
 _DURATION_MAX_S = 3600.0
 
 
@@ -53,17 +55,19 @@ class _Wish:
     to_m: tuple[float | None, float | None, float]
     yaw_rad: float | None
     relative: bool
-    lands: bool
+    takes_off: bool = False
+    lands: bool = False
 
 
 def _read(data: bytes) -> _Wish | None:
     if data[0] in (_TAKEOFF, _LAND):
         height, yaw, keep, duration = struct.unpack("<ff?f", data[2:])
-        return _Wish(duration, (None, None, height), None if keep else yaw, False, data[0] == _LAND)
+        to_m, lands = (None, None, height), data[0] == _LAND
+        return _Wish(duration, to_m, None if keep else yaw, relative=False, takes_off=not lands, lands=lands)
     if data[0] in (_GO_TO, _GO_TO_2):
         relative, rest = bool(data[2]), data[3:] if data[0] == _GO_TO else data[4:]
         x, y, z, yaw, duration = struct.unpack("<fffff", rest)
-        return _Wish(duration, (x, y, z), yaw, relative, False)
+        return _Wish(duration, (x, y, z), yaw, relative)
     return None
 
 
@@ -77,7 +81,7 @@ class HighLevel:
 
     def __init__(self) -> None:
         self.plan: Plan | None = None
-        self.enabled = False
+        self.enabled = True
         self._groups = 0
 
     def forget(self) -> None:
@@ -86,7 +90,7 @@ class HighLevel:
 
     def bits(self, now_ns: int) -> int:
         """Bits 8 to 10 of the supervisor's state: flies, has finished, is disabled."""
-        done = self.plan is not None and self.plan.finished(now_ns)
+        done = self.plan is None or self.plan.finished(now_ns)
         flies = self.plan is not None and not (done and self.plan.lands)
         return flies << 8 | done << 9 | (not self.enabled) << 10
 
@@ -114,6 +118,11 @@ class HighLevel:
         numbers = [v for v in (*wish.to_m, wish.yaw_rad) if v is not None]
         if not all(map(math.isfinite, numbers)) or not 0.0 < wish.duration_s <= _DURATION_MAX_S:
             return _INVALID
+        rests = self.enabled and (self.plan is None or (self.plan.lands and self.plan.finished(now_ns)))
+        if wish.takes_off and not rests:
+            return _NOT_NOW
+        if wish.lands and self.plan is not None and self.plan.lands and not self.plan.finished(now_ns):
+            return _NOT_NOW
         start, yaw = place_enu_m, yaw_enu_rad
         if self.plan is not None and not self.plan.lands:
             point = self.plan.at(now_ns)
