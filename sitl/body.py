@@ -180,7 +180,7 @@ class Motors:
 
     def power(self, powered: bool) -> None:
         """Gives the motors what they can take, or nothing."""
-        self._health.thrust_share[self._index] = self._broken.motor_share[self._index] if powered else 0.0
+        self._health.power(self._index, self._broken.motor_share[self._index] if powered else 0.0)
 
     def command(
         self,

@@ -67,14 +67,15 @@ class Dynamics:
         estimator, motion, commands, k = self._estimator, self.motion, self.commands, self._k
         estimator.step(motion.on_ground)
         self._k = k + 1
-        if motion.all_on_ground and not commands.flying.any():
+        if motion.all_on_ground and b"\1" not in commands.flying.tobytes():
             if not self._settled:
                 self._settle()
             return
         self._settled = False
         health, velocity, dt = self.health, self._velocity, self._dt
         ref, ref_rate = self._reference.step(k, commands, motion.pos_enu_m, estimator.pos_error)
-        wanted = velocity.wanted(ref, ref_rate, motion.vel_enu_m_s, estimator.vel_error, health.thrust_share)
+        share = None if health.sound else health.thrust_share
+        wanted = velocity.wanted(ref, ref_rate, motion.vel_enu_m_s, estimator.vel_error, share)
         self._attitude.step(k, motion, commands, health, wanted)
 
         # motion, semi-implicit

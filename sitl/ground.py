@@ -31,6 +31,7 @@ class Ground:
         self.height_m = pads_enu_m[2].copy()
         self.posts_up = True
         self._floor_m, self._pads_enu_m = floor_m, pads_enu_m.copy()
+        self._contact_m = self.height_m + _CONTACT_M
 
     def stop(self, motion: Motion, integral: Array, health: Health, commands: Commands) -> None:
         """Stops at the ground whoever has reached it and does not lift; friction holds what stands.
@@ -44,7 +45,7 @@ class Ground:
                 attitude tells.
         """
         pos, vel = motion.pos_enu_m, motion.vel_enu_m_s
-        below = pos[2] <= self.height_m + _CONTACT_M
+        below = pos[2] <= self._contact_m
         touching = b"\1" in below.tobytes()
         if touching:
             below &= vel[2] <= 0.0
@@ -83,3 +84,4 @@ class Ground:
         if not self.posts_up:
             carried &= motion.on_ground
         self.height_m = np.where(carried, self._pads_enu_m[2], self._floor_m)
+        self._contact_m = self.height_m + _CONTACT_M

@@ -35,9 +35,9 @@ def _all(mask: NDArray[np.bool_]) -> bool:
 
 def _shorten(vectors: Array, limit: Array) -> None:
     """Shortens the first two rows, shape (3, n), to a length, shape (n,), where they are longer."""
-    length = np.maximum(np.hypot(vectors[0], vectors[1]), _TINY)
+    length = np.hypot(vectors[0], vectors[1])
     if not _all(length <= limit):
-        vectors[:2] *= np.minimum(limit / length, _ONE)
+        vectors[:2] *= np.minimum(limit / np.maximum(length, _TINY), _ONE)
 
 
 class Reference:
@@ -71,7 +71,7 @@ class Reference:
             The velocity, and what its change adds to the acceleration (None: nothing), shape (3, n), not to be written.
         """
         command = commands.vel_sp_enu_m_s
-        if commands.positions_used:
+        if commands.positions_used and np.count_nonzero(commands.pos_mask):
             limits = commands.speed_limit_m_s
             pull = commands.pos_sp_enu_m - pos_enu_m
             pull -= pos_error_m
@@ -120,10 +120,11 @@ class VelocityLoop:
         self._accel_max = column(profiles, "loops.accel_max_m_s2")
         self._tilt_tan = np.tan(column(profiles, "loops.tilt_max_rad"))
         self._thrust_max = column(profiles, "frame.thrust_max_g") * GRAVITY_M_S2
+        self._thrust_max_squared = self._thrust_max * self._thrust_max
         self._thrust_min = np.full(len(profiles), _THRUST_MIN_G * GRAVITY_M_S2)
 
     def wanted(
-        self, ref: Array, ref_rate: Array | None, vel: Array, vel_error: Array, thrust_share: Array
+        self, ref: Array, ref_rate: Array | None, vel: Array, vel_error: Array, thrust_share: Array | None
     ) -> tuple[Array, Array]:
         """The specific force that it asks for.
 
@@ -132,7 +133,7 @@ class VelocityLoop:
             ref_rate: the same.
             vel: truth, shape (3, n).
             vel_error: by how much what is believed differs from it, shape (3, n).
-            thrust_share: what is left of the motors' power, shape (n,).
+            thrust_share: what is left of the motors' power, shape (n,); None: all of everybody's.
 
         Returns:
             The force, shape (3, n), and its size, shape (n,), m/s^2: limited as a horizontal acceleration by itself,
@@ -149,15 +150,21 @@ class VelocityLoop:
         acc += ref * self._drag_ff
         if ref_rate is not None:
             acc += ref_rate
-        thrust_max = self._thrust_max * thrust_share
+        thrust_max, thrust_max_squared = self._thrust_max, self._thrust_max_squared
+        if thrust_share is not None:
+            thrust_max = thrust_max * thrust_share
+            thrust_max_squared = thrust_max * thrust_max
         lift = acc[2]
         lift += _GRAVITY
         np.maximum(lift, self._thrust_min, out=lift)
         np.minimum(lift, thrust_max, out=lift)
         limit = np.minimum(self._accel_max, self._tilt_tan * lift)
-        np.minimum(limit, np.sqrt(thrust_max * thrust_max - lift * lift), out=limit)
+        np.minimum(limit, np.sqrt(thrust_max_squared - lift * lift), out=limit)
         _shorten(acc, limit)
-        return acc, np.sqrt(acc[0] * acc[0] + acc[1] * acc[1] + lift * lift)
+        squares = acc * acc
+        size = squares[0] + squares[1]
+        size += squares[2]
+        return acc, np.sqrt(size, out=size)
 
 
 class AttitudeLoop:
@@ -182,19 +189,21 @@ class AttitudeLoop:
             wanted: force and thrust as ``VelocityLoop.wanted`` gives them; used up.
         """
         (force, thrust), up, rate = wanted, motion.up_enu, motion.up_rate
-        force /= np.maximum(thrust, _TINY)
+        force /= thrust if health.sound else np.maximum(thrust, _TINY)
         if health.any_tumbling:
             self._tumble(force, health, 3.0 * k * self._step_s)
         force -= up
         force *= self._omega2_dt
         rate += force
         rate *= self._damp
-        speed = np.maximum(np.sqrt(np.add.reduce(rate * rate, axis=0)), _TINY)
+        speed = np.sqrt(np.add.reduce(rate * rate, axis=0))
         if not _all(speed <= self._rate_max):
-            rate *= np.minimum(self._rate_max / speed, _ONE)
+            rate *= np.minimum(self._rate_max / np.maximum(speed, _TINY), _ONE)
         up += rate * self._dt
         up /= np.sqrt(np.add.reduce(up * up, axis=0))
-        able = commands.flying & ~motion.crashed
+        able = commands.flying
+        if b"\1" in motion.crashed.tobytes():
+            able = able & ~motion.crashed
         if not _all(able):
             thrust *= able
         motion.thrust_m_s2 += (thrust - motion.thrust_m_s2) * self._thrust_gain

@@ -89,16 +89,24 @@ class Health:
     """What is left of the motors.
 
     Attributes:
-        thrust_share: of their power, 1 when healthy, shape (n,).
+        thrust_share: of their power, 1 when healthy, shape (n,); set by ``power``.
+        sound: it is 1 of everybody.
         tumbling: a motor has failed: attitude control is lost, shape (n,) bool; set by ``tumble``.
         any_tumbling: whether it is so of anybody.
     """
 
     def __init__(self, n: int) -> None:
         self.thrust_share = np.ones(n)
+        self.sound = True
         self.tumbling: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self.tumbling.flags.writeable = False
         self.any_tumbling = False
+
+    def power(self, index: int, share: float) -> None:
+        """Sets what the motors of a vehicle can give."""
+        if self.thrust_share[index] != share:
+            self.thrust_share[index] = share
+            self.sound = bool((self.thrust_share == 1.0).all())
 
     def tumble(self, index: int, tumbles: bool) -> None:
         """Takes a vehicle's attitude control away, or gives it back."""

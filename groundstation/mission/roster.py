@@ -229,6 +229,8 @@ class Roster(Duties):
             Those that were not to land before.
         """
         ours = [vehicle for vehicle in vehicles if self._duty[vehicle] < Duty.RELEASED]
+        if not ours:
+            return []
         news = [vehicle for vehicle in ours if self._duty[vehicle] < Duty.LANDS]
         self._place_ned_m[ours] = places_ned_m[ours]
         self._duty[ours] = Duty.LANDS_HERE

@@ -147,7 +147,7 @@ def test_without_motors_it_falls_freely() -> None:
 def test_a_failed_motor_brings_it_down() -> None:
     dynamics = flying("crazyflie", "crazyflie")
     dynamics.health.tumble(0, True)
-    dynamics.health.thrust_share[0] = 0.6
+    dynamics.health.power(0, 0.6)
     run(dynamics, 3.0)
     assert dynamics.motion.on_ground.tolist() == [True, False]
 
@@ -161,7 +161,7 @@ def test_a_motor_that_fails_a_hand_above_the_ground_lets_it_down_before_it_leans
     while dynamics.motion.pos_enu_m[2, 0] > height_m:
         dynamics.step()
     dynamics.health.tumble(0, True)
-    dynamics.health.thrust_share[0] = 0.8
+    dynamics.health.power(0, 0.8)
     run(dynamics, 1.0)
     assert dynamics.motion.on_ground[0]
     assert bool(dynamics.motion.crashed[0]) is crashes

@@ -14,6 +14,7 @@ import numpy as np
 
 from groundstation.core import frames
 from groundstation.core.limits import Fence
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
 from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
@@ -162,7 +163,7 @@ class Landing:
         self.deaf = self._goes_on_following(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         ready = self.spots.step(now_ns, self._scene(around, on_ground))
-        dark = self.in_the_dark and bool(roster.lands.any())
+        dark = self.in_the_dark and some(roster.lands)
         parting = self.dark.step(dark, self._standing.airborne(now_ns), self._seen_last(around), now_ns)
         for vehicle in (roster.lands & fleet.armed).nonzero()[0].tolist():
             if self._commands.pending(vehicle) or not self._asking.due(vehicle, now_ns):
@@ -183,7 +184,7 @@ class Landing:
         """Who was told to land, and by its heartbeats is still in the mode that follows us, shape (n,)."""
         fleet, roster = self._fleet, self._roster
         told = roster.told_to_land & roster.ours
-        if not told.any():
+        if not some(told):
             return told
         untaken: BoolArray = told & (fleet.heartbeat_ns - roster.told_ns >= _DEAF_NS) & self._standing.airborne(now_ns)
         for vehicle in untaken.nonzero()[0].tolist():

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.flight.columns import Columns, Scene
@@ -94,15 +95,17 @@ class Spots:
 
     def step(self, now_ns: int, scene: Scene) -> BoolArray:
         """Looks after everybody's place; returns who may come down now, shape (n,)."""
-        roster = self._roster
-        goals_ned_m = np.where(roster.lands_here[:, None], scene.pos_ned_m, scene.home_ned_m)
-        self._goals_m = np.where(roster.elsewhere[:, None], roster.place_ned_m, goals_ned_m)[:, :2].copy()
         ready: BoolArray = np.zeros(len(self._ids), dtype=np.bool_)
-        settled: list[int] = []
         home_too = self._look_home.due(0, now_ns)  # large teams are on their way for long, and nothing changes fast
         if home_too:
             self._look_home.asked(0, now_ns)
         looked_after = ~(scene.down | scene.sinks) & (scene.wanted | scene.coming)
+        if not some(looked_after):
+            return ready
+        roster = self._roster
+        goals_ned_m = np.where(roster.lands_here[:, None], scene.pos_ned_m, scene.home_ned_m)
+        self._goals_m = np.where(roster.elsewhere[:, None], roster.place_ned_m, goals_ned_m)[:, :2].copy()
+        settled: list[int] = []
         lowest_first = (-scene.pos_ned_m[:, 2]).argsort(kind="stable")
         for vehicle in lowest_first[looked_after[lowest_first]].tolist():
             if scene.led[vehicle]:

@@ -80,7 +80,7 @@ class Following:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Brings back whoever strays, and lands it where it is when it goes on straying."""
         passed_s = min(self._since_before(sight.now_ns), 0.2)
-        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
+        counts = sight.flown & ours
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
         new = any_of(~(self._steered_s > _NEW_IN_AIR_S)[:, None])
         step = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None]

@@ -64,7 +64,7 @@ class Headings:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Names whose heading is off, and brings everybody back: avoidance counts on what is flown."""
         passed_s = min(self._since_before(sight.now_ns), 0.2)
-        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind
+        counts = sight.flown & ours
         self._steered_s = np.where(counts, self._steered_s + passed_s, 0.0)
         new = any_of(~(self._steered_s > _NEW_IN_AIR_S)[:, None])
         moves = sight.vel_ned_m_s - sight.vel_error_ned_m_s

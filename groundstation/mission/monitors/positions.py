@@ -253,8 +253,7 @@ class Frozen:
         same = equal_rows(fleet.pos_local_ned_m, self._pos)
         if some(same):
             self._reports = np.where(same, self._reports + (fleet.pose_ns > self._pose_ns), 0)
-            frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.airborne & ours
-            frozen &= ~sight.excused & ~sight.blind
+            frozen = same & self._local & (self._reports >= _FROZEN_REPORTS) & sight.in_our_air & ours
         else:
             self._reports, frozen = np.zeros(len(same), dtype=np.int64), same
         self._pos, self._pose_ns = fleet.pos_local_ned_m.copy(), fleet.pose_ns.copy()
@@ -327,7 +326,7 @@ class Tilt:
         quat = sight.fleet.quat_ned_from_frd
         cosine = between(1.0 - 2.0 * (quat[:, 1] ** 2 + quat[:, 2] ** 2), -1.0, 1.0)
         tilt_deg = np.degrees(np.arccos(cosine))
-        tilted = (tilt_deg > self._limit_deg) & sight.airborne & ours & ~sight.excused & ~sight.blind
+        tilted = (tilt_deg > self._limit_deg) & sight.in_our_air & ours
         for vehicle in self._lasting(tilted, sight.now_ns):
             what = f"is tilted by {tilt_deg[vehicle]:.0f} degrees, limit {self._limit_deg:g} degrees"
             yield Finding(Reaction.LAND, what, (vehicle,), lost=True, remedy="keep people away")

@@ -120,7 +120,7 @@ class PoorSpeeds:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of poor velocities, and brings those home that are hopeless."""
         rms_m_s = self._speeds.rms_m_s
-        judged = sight.airborne & ours & ~sight.excused & ~sight.blind
+        judged = sight.in_our_air & ours
         for vehicle in self._hopeless(judged & (rms_m_s > self._limit_m_s), sight.now_ns):
             what = f"its velocity is wrong: {rms_m_s[vehicle]:.2f} m/s off what its positions do"
             yield Finding(Reaction.HOME, f"{what}, limit {self._limit_m_s:.2g} m/s", (vehicle,), remedy=SEE_TO_POSITION)

@@ -102,7 +102,7 @@ class Wind:
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of wind near the limit, and brings everybody back from more than that."""
         passed_s = min(self._since_before(sight.now_ns), 0.2)
-        counts = sight.steered & sight.airborne & ours & ~sight.excused & ~sight.blind & self._leans
+        counts = sight.flown & ours & self._leans
         quat = sight.fleet.quat_ned_from_frd
         leans: BoolArray = finite_rows(quat)  # who was never heard has no attitude
         counts &= leans
