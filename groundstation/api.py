@@ -300,12 +300,13 @@ def report(log: Log | str | Path | Sequence[str | Path], folder: str | Path, *, 
     from groundstation.app.report import claim_report, write_report
 
     if not isinstance(log, Log | str | Path):
-        return write_comparison(compare(log), Path(folder), reports=True, force=force)
+        logs = [find_log(Path(item)) for item in log]
+        return write_comparison(compare(logs), Path(folder), logs=logs, force=force)
     read = log if isinstance(log, Log) else read_log(log)
     if not read.flight.useful:
         raise UserError(f"{read.path}: holds no position and no setpoint; there is nothing to draw")
     claim_report(Path(folder), force=force)
-    return write_report(read.flight, Path(folder))
+    return write_report(read.flight, Path(folder), log=read.path)
 
 
 def _as_words(changes: Changes) -> list[str]:

@@ -83,7 +83,9 @@ def test_a_flight_in_a_few_lines_with_a_look_at_every_tick(tmp_path: Path) -> No
     assert [name for name, _, _ in log.phases][:2] == ["connect", "arm"]
     assert log.result["outcome"] == "aborted"
     assert any("landed by the operator" in text for _, text in log.events)
-    assert gs.report(log, tmp_path / "report")[0].read_text().startswith("<!doctype html>")
+    page = gs.report(log, tmp_path / "report")[0].read_text()
+    assert page.startswith("<!doctype html>")
+    assert "<h2>Links</h2>" in page
 
 
 @pytest.mark.parametrize("package", ["pandas", "polars"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ import numpy as np
 from rich.table import Table
 
 from groundstation.app.picture_style import INK, QUIET, SERIES, STYLE
-from groundstation.app.pictures import save_picture
+from groundstation.app.pictures import save_picture, source
 from groundstation.app.report import claim_report, write_report
 from groundstation.app.templates import render
 from groundstation.core.errors import CheckFailed, UserError
@@ -170,13 +170,15 @@ def claim_comparison(folder: Path, *, force: bool) -> bool:
     return any(replaced)
 
 
-def write_comparison(comparison: Comparison, folder: Path, *, reports: bool = False, force: bool = False) -> list[Path]:
-    """Draws pictures and writes a page; with ``reports`` a report of each flight too, in a folder of its own.
+def write_comparison(
+    comparison: Comparison, folder: Path, *, logs: Sequence[Path] = (), force: bool = False
+) -> list[Path]:
+    """Draws pictures and writes a page that has them in it; with ``logs`` a report of each flight, in its own folder.
 
     Args:
         comparison: what to show.
         folder: made when missing.
-        reports: of each flight, linked from the page.
+        logs: that the flights were read from, each of which gets a report, linked from the page.
         force: replace files of these names whatever they are.
 
     Returns:
@@ -190,7 +192,7 @@ def write_comparison(comparison: Comparison, folder: Path, *, reports: bool = Fa
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     claim_comparison(folder, force=force)
-    folders = [folder / f"{number + 1}" for number in range(len(comparison.flights))] if reports else []
+    folders = [folder / f"{number + 1}" for number in range(len(logs))]
     for own in folders:
         claim_report(own, force=force)
     written = [folder / "index.html"]
@@ -203,9 +205,10 @@ def write_comparison(comparison: Comparison, folder: Path, *, reports: bool = Fa
                 picture.draw(figure, comparison)
                 save_picture(figure, folder / picture.file, 100)
             written.append(folder / picture.file)
-        for own, flight in zip(folders, comparison.flights, strict=False):
-            written += write_report(flight, own)
-        write_whole(written[0], _page(comparison, folders).encode("utf-8"), durable=False)
+        drawn = {picture.file: source((folder / picture.file).read_bytes()) for picture in _PICTURES}
+        for own, flight, log in zip(folders, comparison.flights, logs, strict=False):
+            written += write_report(flight, own, log=log)
+        write_whole(written[0], _page(comparison, folders, drawn).encode("utf-8"), durable=False)
     except OSError as error:
         raise UserError(
             f"{error.filename or folder}: cannot write the comparison: {error.strerror or error}; give another folder"
@@ -214,13 +217,14 @@ def write_comparison(comparison: Comparison, folder: Path, *, reports: bool = Fa
     return written
 
 
-def _page(comparison: Comparison, folders: Sequence[Path]) -> str:
+def _page(comparison: Comparison, folders: Sequence[Path], drawn: Mapping[str, str]) -> str:
     return render(
         "comparison.html",
         title=f"{len(comparison.flights)} flights compared",
         tables=_tables(comparison),
         links=[f"{folder.name}/index.html" for folder in folders],
         pictures=_PICTURES,
+        sources=drawn,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from base64 import b64encode
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,11 @@ def drawn_by_gs(path: Path) -> bool:
             return _MAKER.encode() in file.read(_LOOKED_AT)
     except OSError:
         return False
+
+
+def source(content: bytes) -> str:
+    """A PNG picture as what an image of a page is read from, so that the page needs no other file."""
+    return f"data:image/png;base64,{b64encode(content).decode()}"
 
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:

@@ -7,7 +7,6 @@ common frame) is named as missing in the picture's place. matplotlib is loaded w
 from __future__ import annotations
 
 import contextlib
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ import numpy as np
 from groundstation.app.flight_picture import Picture
 from groundstation.app.paper_figures import PAPER_FIGURES, PAPER_STYLE
 from groundstation.app.picture_style import BLUE, INK, LINE, ORANGE, QUIET, RED, SERIES, STYLE
-from groundstation.app.pictures import save_picture
+from groundstation.app.pictures import save_picture, source
 from groundstation.app.report_facts import Facts, facts_of
 from groundstation.app.templates import render
 from groundstation.core.errors import UserError
@@ -203,7 +202,7 @@ def to_html(flight: Flight, facts: Facts | None = None, drawn: Mapping[str, byte
 
 def _source(file: str, content: bytes | None) -> str:
     """What an image of the page is read from."""
-    return file if content is None else f"data:image/png;base64,{b64encode(content).decode()}"
+    return file if content is None else source(content)
 
 
 def _draw_trajectories(figure: Figure, flight: Flight) -> None:

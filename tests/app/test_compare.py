@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
+from base64 import b64encode
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -103,8 +105,10 @@ def test_compare_prints_tables_and_json_and_draws_into_a_folder(
     assert values["deviations"][0]["max_m"] == 0.0
     assert "places apart, rms, m" in err
     page = (tmp_path / "c" / "index.html").read_text()
-    assert sorted(re.findall(r'src="([^"]*)"', page)) == sorted(path.name for path in (tmp_path / "c").glob("*.png"))
-    assert not re.search(r"https?:|//|<script|<link|@import|url\(", page)
+    drawn = sorted(b64encode(path.read_bytes()).decode() for path in (tmp_path / "c").glob("*.png"))
+    assert sorted(re.findall(r'src="data:image/png;base64,([^"]*)"', page)) == drawn  # the page needs no other file
+    assert page.count("src=") == len(drawn) == 4
+    assert not re.search(r"https?:|//|<script|<link|@import|url\(", re.sub(r"base64,[^\"]*", "", page))
     assert gs(["compare", *logs, "-o", str(tmp_path / "c")], monkeypatch, capsys)[0] == 0  # its own is replaced
     (tmp_path / "c" / "index.html").write_text("<!doctype html><title>my thesis</title>")
     code, _, err = gs(["compare", *logs, "-o", str(tmp_path / "c")], monkeypatch, capsys)
@@ -124,6 +128,10 @@ def test_a_report_of_several_logs_is_one_page_with_a_report_of_each_below(
     for link in re.findall(r'href="([^"]*)"', page):
         assert (tmp_path / "r" / link).is_file()
     assert page.count("href=") == 2
+    for log, number in zip(logs, "12", strict=True):
+        below = (tmp_path / "r" / number / "index.html").read_text()
+        assert hashlib.sha256(Path(log).read_bytes()).hexdigest() in below
+        assert "<h2>Links</h2>" in below
 
 
 def test_mistakes_are_told(folder: Path, tmp_path: Path) -> None:

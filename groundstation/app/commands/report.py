@@ -55,7 +55,7 @@ def report(
         for table in tables(comparison):
             out.console.print(table)
         with out.console.status("drawing"):
-            files = write_comparison(comparison, output, reports=True, force=force)
+            files = write_comparison(comparison, output, logs=logs, force=force)
         for file in files:
             out.console.print(Text(f"written: {file}"))
         out.result({**comparison.values(), "files": [str(file) for file in files]})
