@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -9,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from nicegui import Client
+from nicegui.elements.scene.objects.text import Text
 from nicegui.page import page
 
-from groundstation.app.console.charts import BLUE, GREEN, ORANGE, VERMILION
-from groundstation.app.console.scene import TeamScene
+from groundstation.app.console.charts import BLUE, GREEN, ORANGE, PURPLE, VERMILION
+from groundstation.app.console.common import Bodies, Segments
+from groundstation.app.console.scene import TeamScene, ground_lines_m
 from groundstation.app.console.snapshot import AIRBORNE, AVOIDS, FOREIGN, LOST, Snapshot
 from groundstation.app.console.viewers import Viewers
+from groundstation.core.types import FloatArray
 from tests.app.test_order_socket import Desk
 
 
@@ -48,22 +52,17 @@ def team(n: int) -> Snapshot:
     return replace(one, words=words, edges=np.array([[row, row + 1] for row in range(n - 1)]), **grown)  # type: ignore[arg-type]
 
 
+def kinds(scene: TeamScene) -> Counter[str]:
+    return Counter(type(item).__name__ for item in scene.view.objects.values())
+
+
 @pytest.mark.usefixtures("browser")
-def test_a_large_team_takes_three_objects_a_vehicle_and_a_line_an_edge() -> None:
-    """A renderer without a graphics card pays for every object; those of a group and of a number are not drawn."""
-    now = team(100)
-    scene = TeamScene(now, dark=False)
-    scene.show(now, slowly=True)
-    kinds = [item.type for item in scene.view.objects.values()]
-    assert {kind: kinds.count(kind) for kind in set(kinds)} == {
-        "group": 100,
-        "text": 100,
-        "box": 100,
-        "sphere": 100,
-        "point_cloud": 3,
-        "line": 12 + 99,
-    }
-    assert TeamScene(team(8), dark=True).view.objects
+def test_a_hundred_vehicles_take_no_more_objects_than_eight_but_for_their_labels() -> None:
+    """A renderer without a graphics card pays for every object; a label is none of its."""
+    scene = TeamScene(team(100), dark=False)
+    scene.show(team(100), slowly=True)
+    assert kinds(scene) == {"Bodies": 5, "Segments": 3, "PointCloud": 1, "Text": 100}
+    assert kinds(TeamScene(team(8), dark=True)) == kinds(scene) - Counter(Text=92)
 
 
 @pytest.mark.usefixtures("browser")
@@ -77,13 +76,47 @@ def test_colours_regions_and_edges_tell_of_whom_something_is_wrong() -> None:
         pos_team_enu_m=np.add(now.pos_team_enu_m, [[0.3, 0.0, 0.0], [0.0] * 3, [0.0] * 3, [0.0] * 3]),
     )
     scene.show(later, slowly=True)
-    objects = list(scene.view.objects.values())
-    bodies = [item.color for item in objects if item.type == "box"]
-    assert bodies == [BLUE, BLUE, ORANGE, VERMILION]
-    regions = [item for item in objects if item.type == "sphere"][:4]
+    _, bodies, calm, told, _ = (item for item in scene.view.objects.values() if isinstance(item, Bodies))
+    assert bodies.colours == [BLUE, BLUE, ORANGE, VERMILION]
+    assert (calm.colours, told.colours) == ([BLUE], [PURPLE, ORANGE, VERMILION])
+    np.testing.assert_allclose(places(calm), [[0.3, 0.0, 1.0]])
+    np.testing.assert_allclose(places(told), later.pos_team_enu_m[1:])
+    sizes = np.array(told.places).reshape(-1, 3, 4)[:, :, :3]
     grown = 1.0 + 2.0 * 1.25 / now.words.radius_m
-    assert regions[3].sx == pytest.approx(grown)
-    assert regions[0].sx == 1.0
-    edges = [item for item in objects if item.type == "line"][12:]
-    assert [(item.color, item.visible_) for item in edges[:2]] == [(ORANGE, True), (GREEN, True)]
-    assert not edges[2].visible_  # to who is lost
+    np.testing.assert_allclose(sizes, np.array([1.0, 1.0, grown])[:, None, None] * np.eye(3), atol=1e-4)
+    edges = [item for item in scene.view.objects.values() if isinstance(item, Segments)][-1]
+    assert edges.colours == [ORANGE, GREEN]  # none to who is lost
+    np.testing.assert_allclose(
+        np.array(edges.ends).reshape(-1, 2, 3), later.pos_team_enu_m[[[0, 1], [1, 2]]], atol=1e-4
+    )
+
+
+@pytest.mark.usefixtures("browser")
+def test_a_body_is_turned_as_its_vehicle_and_not_seen_where_nothing_is_known() -> None:
+    now = team(3)
+    half = np.sqrt(0.5)
+    quats = np.array([[1.0, 0.0, 0.0, 0.0], [half, 0.0, 0.0, half], [np.nan] * 4])  # heads north, east, somewhere
+    places_m = np.array(now.pos_team_enu_m)
+    places_m[2] = np.nan
+    scene = TeamScene(now, dark=False)
+    scene.show(replace(now, quat_ned_from_frd=quats, pos_team_enu_m=places_m), slowly=True)
+    _, bodies, calm, _, _ = (item for item in scene.view.objects.values() if isinstance(item, Bodies))
+    noses = np.array(bodies.places).reshape(-1, 3, 4)[:, :, 0]
+    np.testing.assert_allclose(noses, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], atol=1e-4)
+    np.testing.assert_allclose(places(calm), places_m[:2])
+    assert [item.visible_ for item in scene.view.objects.values() if isinstance(item, Text)] == [True, True, False]
+
+
+def places(bodies: Bodies) -> FloatArray:
+    """Middles of those that are seen."""
+    return np.array(bodies.places).reshape(-1, 3, 4)[:, :, 3]
+
+
+@pytest.mark.parametrize(("size_m", "step_m"), [(6.0, 1.0), (60.0, 10.0), (300.0, 100.0)])
+def test_the_grid_on_the_ground_reaches_beyond_the_fence(size_m: float, step_m: float) -> None:
+    low, high = np.array([-1.0, 2.0, 0.0]), np.array([-1.0 + size_m, 2.0 + size_m / 2, 9.0])
+    lines = ground_lines_m(low, high)
+    assert np.all(lines[:, :, 2] == 0.0)
+    assert np.all(lines.reshape(-1, 3).min(axis=0)[:2] <= low[:2])
+    assert np.all(lines.reshape(-1, 3).max(axis=0)[:2] >= high[:2])
+    np.testing.assert_allclose(np.diff(np.unique(lines[:, :, 0])), step_m)

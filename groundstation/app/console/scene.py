@@ -9,9 +9,9 @@ from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 from nicegui import ui
-from nicegui.elements.scene.objects.line import Line
 
 from groundstation.app.console.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from groundstation.app.console.common import Bodies, Segments
 from groundstation.app.console.feed import distances_m, ghost_enu_m, wished_m
 from groundstation.app.console.snapshot import AVOIDS, FOREIGN, HELD, LOST, Snapshot
 from groundstation.core import frames
@@ -19,14 +19,15 @@ from groundstation.core.types import FloatArray
 
 _TRAIL = 150
 _MANY = 24
-"""More vehicles than that are drawn with fewer corners and shorter trails; their pads and the formation's points are
-dots of one cloud each: a renderer without a graphics card pays for every object."""
+"""More vehicles than that are drawn with fewer corners and shorter trails."""
 _FRAMES_PER_S = 30  # at most: the browser waits for so long after each picture, and then for its screen
-_TRAIL_COLOUR, _PAD_COLOUR, _GHOST_COLOUR = [0.0, 0.45, 0.7], [0.53, 0.53, 0.53], [0.0, 0.62, 0.45]
+_TRAIL_COLOUR = [0.0, 0.45, 0.7]
 _JUMP_S = 2.0
-_NOWHERE = [0.0, 0.0, -1000.0]  # below the ground, for clouds that have no points
+_NOWHERE = [0.0, 0.0, -1000.0]  # below the ground, for a cloud that has no points
 _SIZE_M = 0.4  # of what is drawn where r is not known
+_LINES = 20  # of the grid on the ground, each way, at most or so
 _EDGE_GOOD_M, _EDGE_BAD_M = 0.1, 0.5
+_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # three.js' cylinders lie along y
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -43,6 +44,21 @@ def vehicle_colour(bits: int) -> str:
 def ground_colour(*, dark: bool) -> str:
     """What a scene stands on."""
     return "#20242a" if dark else "#f4f4f4"
+
+
+def line_colour(*, dark: bool) -> str:
+    """Of the grid on the ground."""
+    return "#3a4048" if dark else "#cccccc"
+
+
+def ground_lines_m(low_m: FloatArray, high_m: FloatArray) -> FloatArray:
+    """A grid on the ground beneath a box and around it, lines a metre, ten or a hundred apart, shape (k, 2, 3)."""
+    size_m = float(np.max((high_m - low_m)[:2]))
+    step_m = float(10.0 ** np.ceil(np.log10(max(size_m, 1.0) / _LINES)))
+    begin, end = np.floor(low_m[:2] / step_m) - 1, np.ceil(high_m[:2] / step_m) + 1
+    across = [[[x, begin[1], 0.0], [x, end[1], 0.0]] for x in np.arange(begin[0], end[0] + 1)]
+    along_ = [[[begin[0], y, 0.0], [end[0], y, 0.0]] for y in np.arange(begin[1], end[1] + 1)]
+    return np.array(across + along_) * step_m
 
 
 def along(begin_m: FloatArray, end_m: FloatArray) -> list[list[float]]:
@@ -64,45 +80,36 @@ class TeamScene:
         r_m = snapshot.words.radius_m if self._has_radius else _SIZE_M
         low, high = snapshot.fence_enu_m
         # Far enough away for the whole team, and for half of the fence; over a wide team from higher up.
-        pads_m = snapshot.pads_enu_m[np.all(np.isfinite(snapshot.pads_enu_m), axis=1)]
-        wide_m = float(np.ptp(pads_m[:, :2], axis=0).max()) if len(pads_m) else 0.0
+        pads_m = snapshot.pads_enu_m
+        known = np.all(np.isfinite(pads_m), axis=1)
+        wide_m = float(np.ptp(pads_m[known, :2], axis=0).max()) if known.any() else 0.0
         self._middle, self._away_m = low + [0.5, 0.5, 0.4] * (high - low), max(0.5 * float(np.max(high - low)), wide_m)
         self._up_m = max(0.25 * self._away_m, 0.45 * wide_m)
         self._trails: list[deque[list[float]]] = [deque(maxlen=_TRAIL if n <= _MANY else _TRAIL // 4) for _ in range(n)]
-        self.view = ui.scene(grid=(20, 20), background_color=ground_colour(dark=dark), fps=_FRAMES_PER_S).classes(
-            "w-full"
-        )
+        self.view = ui.scene(grid=False, background_color=ground_colour(dark=dark), fps=_FRAMES_PER_S).classes("w-full")
         self.view.style("height: min(60vh, 32rem)")
         body_m = 0.35 * r_m
+        round_, tall = (32, 16) if n <= _MANY else (10, 6)  # corners are what a software renderer pays for
         with self.view as scene:
-            if n > _MANY and len(pads_m):
-                scene.point_cloud(pads_m.tolist(), [_PAD_COLOUR] * len(pads_m), 0.8 * r_m)
-            for pad_m in pads_m if n <= _MANY else ():
-                scene.cylinder(0.4 * r_m, 0.4 * r_m, 0.01, 32).move(*pad_m.tolist()).rotate(1.5708, 0, 0).material(GREY)
-            for one, other in itertools.combinations(itertools.product((0, 1), repeat=3), 2):
-                if sum(a != b for a, b in zip(one, other, strict=True)) == 1:
-                    ends = [[float((low, high)[c][axis]) for axis, c in enumerate(end)] for end in (one, other)]
-                    scene.line(*ends).material(SKY)
-            # Their inner sides alone: outer ones may be drawn before what is in them, which is then not seen.
-            round_, tall = (32, 16) if n <= _MANY else (12, 8)  # corners are what a software renderer pays for
-            self._vehicles, self._bodies, self._regions = [], [], []
-            for sysid in snapshot.ids.tolist():
-                with scene.group() as vehicle:  # moved as one
-                    self._bodies.append(scene.box(2 * body_m, body_m, 0.4 * body_m).material(BLUE))
-                    self._regions.append(scene.sphere(r_m / 2, round_, tall).material(BLUE, 0.15, "back"))
-                    self._regions[-1].visible(self._has_radius)
-                    scene.text(str(sysid)).move(0.0, 0.0, r_m)
-                self._vehicles.append(vehicle)
-            self._ghosts = [
-                scene.sphere(0.3 * body_m, 8, 6).material(GREEN, 0.6).visible(False)
-                for _ in (snapshot.ids if n <= _MANY else ())
+            Bodies("cylinder", [0.4 * r_m, 0.4 * r_m, 0.01, 32 if n <= _MANY else 12], n).place(
+                pads_m, _UPRIGHT, np.ones(n), [GREY] * n
+            )
+            box = [
+                low + np.array(ends) * (high - low)
+                for ends in itertools.combinations(itertools.product((0, 1), repeat=3), 2)
+                if np.sum(np.not_equal(*ends)) == 1
             ]
-            self._ghost_cloud = scene.point_cloud([_NOWHERE], [_GHOST_COLOUR], 0.6 * body_m)
+            Segments().draw(np.array(box), [SKY] * len(box))
+            lines = ground_lines_m(low, high)
+            Segments().draw(lines, [line_colour(dark=dark)] * len(lines))
+            self._bodies = Bodies("box", [2 * body_m, body_m, 0.4 * body_m], n)
+            self._regions = Bodies("sphere", [r_m / 2, round_, tall], n, 0.15)
+            self._told = Bodies("sphere", [r_m / 2, round_, tall], n, 0.3)
+            self._ghosts = Bodies("sphere", [0.3 * body_m, 6, 4], n, 0.6)
+            self._edges = Segments()
+            self._labels = [scene.text(str(sysid)).visible(False) for sysid in snapshot.ids.tolist()]
             self._trail_cloud = scene.point_cloud([_NOWHERE], [_TRAIL_COLOUR], 0.03)
-        self._edges: list[Line] = []
-        self._colours: dict[int, str] = {}
-        self._r_m, self._grown = r_m, [1.0] * n
-        self._there: list[bool | None] = [None] * n
+        self._r_m = r_m
         self.look("side")
 
     def look(self, where: str) -> None:
@@ -138,33 +145,28 @@ class TeamScene:
         return batch()
 
     def _show(self, snapshot: Snapshot, *, slowly: bool) -> None:
-        known = np.all(np.isfinite(snapshot.pos_team_enu_m), axis=1)
         if not self._t_s <= snapshot.t_s <= self._t_s + _JUMP_S:  # a replay that jumps leaves no trail
             for trail in self._trails:
                 trail.clear()
         self._t_s = snapshot.t_s
-        for row in range(len(snapshot.ids)):
-            there = bool(known[row])
-            if there != self._there[row]:
-                self._there[row] = there
-                self._vehicles[row].visible(there)
+        pos_m = snapshot.pos_team_enu_m
         quats = np.where(np.isfinite(snapshot.quat_ned_from_frd), snapshot.quat_ned_from_frd, [1.0, 0.0, 0.0, 0.0])
-        rotations = _ENU_FROM_NED @ frames.rot_ned_from_flu(quats)
-        for row in np.flatnonzero(known).tolist():
-            at = snapshot.pos_team_enu_m[row].tolist()
-            self._vehicles[row].move(*at)
-            self._bodies[row].rotate_R(rotations[row].tolist())
-            bits = int(snapshot.state[row])
-            colour = vehicle_colour(bits)
-            if self._colours.get(row) != colour:
-                self._colours[row] = colour
-                self._bodies[row].material(BLUE if colour == PURPLE else colour)
-                self._regions[row].material(colour, 0.15 if colour == BLUE else 0.3, "back")
-            grown = 1.0 + 2.0 * float(snapshot.extra_radius_m[row]) / self._r_m
-            if grown != self._grown[row]:
-                self._grown[row] = grown
-                self._regions[row].scale(grown)
-            self._trails[row].append(at)
+        colours = [vehicle_colour(bits) for bits in snapshot.state.tolist()]
+        turns = _ENU_FROM_NED @ frames.rot_ned_from_flu(quats)
+        self._bodies.place(
+            pos_m, turns, np.ones(len(pos_m)), [BLUE if colour == PURPLE else colour for colour in colours]
+        )
+        grown = self._has_radius * (1.0 + 2.0 * snapshot.extra_radius_m / self._r_m)
+        calm = np.array([colour == BLUE for colour in colours])
+        for regions, which in ((self._regions, calm), (self._told, ~calm)):
+            regions.place(pos_m, np.eye(3), grown * which, colours)
+        there: list[bool] = np.all(np.isfinite(pos_m), axis=1).tolist()
+        for row, label in enumerate(self._labels):
+            label.visible(there[row])
+            if there[row]:
+                at = pos_m[row].tolist()
+                label.move(at[0], at[1], at[2] + self._r_m)
+                self._trails[row].append(at)
         if slowly:
             self._graph(snapshot)
             if self._follows:
@@ -172,25 +174,15 @@ class TeamScene:
             walked = [point for trail in self._trails for point in trail] or [_NOWHERE]
             self._trail_cloud.set_points(walked, [_TRAIL_COLOUR] * len(walked))
             ghost_m = ghost_enu_m(snapshot)
-            if not self._ghosts:
-                points = [_NOWHERE] if ghost_m is None else ghost_m.tolist()
-                self._ghost_cloud.set_points(points, [_GHOST_COLOUR] * len(points))
-            for row, ghost in enumerate(self._ghosts):
-                ghost.visible(ghost_m is not None)
-                if ghost_m is not None:
-                    ghost.move(*ghost_m[row].tolist())
+            at_m = np.full_like(pos_m, np.nan) if ghost_m is None else ghost_m
+            self._ghosts.place(at_m, np.eye(3), np.ones(len(at_m)), [GREEN] * len(at_m))
 
     def _graph(self, snapshot: Snapshot) -> None:
-        between_m, error_m = distances_m(snapshot), np.abs(distances_m(snapshot) - wished_m(snapshot))
-        with self.view as scene:
-            while len(self._edges) < len(snapshot.edges):
-                self._edges.append(scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREEN))
-        for row, line in enumerate(self._edges):
-            i, j = snapshot.edges[row].tolist() if row < len(snapshot.edges) else (0, 0)
-            gone = bool((int(snapshot.state[i]) | int(snapshot.state[j])) & LOST)
-            shown = i != j and not gone and bool(np.isfinite(between_m[i, j]))
-            line.visible(shown)
-            if shown:
-                begin_m, end_m = snapshot.pos_team_enu_m[i], snapshot.pos_team_enu_m[j]
-                line.move(*begin_m.tolist()).rotate_R(along(begin_m, end_m)).scale(float(between_m[i, j]))
-                line.material(edge_colour(float(error_m[i, j])))
+        """Lines of all pairs whose places are known; who is lost for good has none."""
+        error_m = np.abs(distances_m(snapshot) - wished_m(snapshot))
+        gone = (snapshot.state & LOST) != 0
+        i, j = snapshot.edges.reshape(-1, 2).T
+        shown = snapshot.edges[(i != j) & ~gone[i] & ~gone[j] & np.isfinite(distances_m(snapshot)[i, j])]
+        self._edges.draw(
+            snapshot.pos_team_enu_m[shown], [edge_colour(float(error_m[one, other])) for one, other in shown.tolist()]
+        )
