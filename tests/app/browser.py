@@ -49,12 +49,16 @@ class Tab:
         self.page.get_by_role("button", name=button, exact=False).click()
 
 
-def opened(browser: Browser, url: str, *, width: int = 800, height: int = 600, scheme: str = "light") -> Tab:
-    """A new page at an address."""
+def opened(
+    browser: Browser, url: str, *, width: int = 800, height: int = 600, scheme: str = "light", script: str = ""
+) -> Tab:
+    """A new page at an address; ``script`` runs in it before its own do."""
     context = browser.new_context(
         viewport={"width": width, "height": height}, color_scheme="dark" if scheme == "dark" else "light"
     )
     context.set_default_timeout(PATIENCE_MS)
+    if script:
+        context.add_init_script(script)
     tab = Tab(context.new_page())
 
     def heard(message: ConsoleMessage) -> None:

@@ -56,7 +56,7 @@ def _vehicles(team_map: TeamMap) -> list[tuple[list[float], dict[str, object]]]:
 
 @pytest.mark.usefixtures("browser")
 def test_vehicles_are_where_they_are_on_earth_and_nothing_is_asked_of_the_internet(team: Snapshot) -> None:
-    shown = TeamMap(team, None)
+    shown = TeamMap(team, None, dark=False)
     shown.show(team)
     (here, _), (there, style) = _vehicles(shown)
     np.testing.assert_allclose(here, [LAT_DEG, LON_DEG], atol=1e-7)
@@ -90,7 +90,7 @@ def test_tiles_come_from_a_folder(team: Snapshot, tmp_path: Path) -> None:
     assert getattr(tiles.tile(17, 3, 4), "path", None) == tmp_path / "17" / "3" / "4.jpg"
     nothing = tiles.tile(17, 3, 5)
     assert (nothing.media_type, bytes(nothing.body)[1:4]) == ("image/png", b"PNG")
-    layers = [layer.to_dict() for layer in TeamMap(team, ("/tiles/{z}/{x}/{y}", 17)).view.layers]
+    layers = [layer.to_dict() for layer in TeamMap(team, ("/tiles/{z}/{x}/{y}", 17), dark=True).view.layers]
     assert layers[0]["args"][0] == "/tiles/{z}/{x}/{y}"
 
 

@@ -213,8 +213,11 @@ def test_two_logs_side_by_side_in_a_browser(tmp_path_factory: pytest.TempPathFac
     least = next(mark for mark in shown[0].marks if mark[1] == "near")
     words = " ".join(f"--log {log}" for log in logs)
     with chromium() as browser, started(f"console --port 0 {words}", folder) as console:
-        tab = opened(browser, addresses(console)["replay"])
+        tab = opened(browser, addresses(console)["replay"], scheme="dark")
         tab.press("smallest distance")
+        ids = [item.id for one in shown for item in one.flight.vehicles]  # both flew by GPS: two maps
+        expect(tab.page.locator(".leaflet-tooltip")).to_have_text([str(number) for number in ids])
+        expect(tab.page.get_by_test_id("map").first).to_have_css("background-color", "rgb(32, 36, 42)")
         tab.shows("distance_now_m", least[2].split(": ")[1].split(",")[0])
         tab.shows("age", f"{least[0]:.2f} s")
         tab.shows("other-phase", shown[1].at(least[0]).words.phase)

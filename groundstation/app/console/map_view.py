@@ -13,7 +13,7 @@ from nicegui.elements.leaflet.leaflet_layers import GenericLayer
 
 from groundstation.app.console.charts import GREY, SKY
 from groundstation.app.console.naming import named
-from groundstation.app.console.scene import vehicle_colour
+from groundstation.app.console.scene import ground_colour, vehicle_colour
 from groundstation.app.console.snapshot import Snapshot
 from groundstation.core.errors import UserError
 from groundstation.core.types import FloatArray
@@ -69,9 +69,10 @@ class TeamMap:
     Args:
         snapshot: the first one.
         tiles: where tiles are, and the finest zoom; None for a plain grid.
+        dark: the page is.
     """
 
-    def __init__(self, snapshot: Snapshot, tiles: tuple[str, int] | None) -> None:
+    def __init__(self, snapshot: Snapshot, tiles: tuple[str, int] | None, *, dark: bool) -> None:
         self._anchor = snapshot.anchor_deg_m
         low, high = snapshot.fence_enu_m
         centre = self._places((low + high)[None] / 2)[0]
@@ -98,6 +99,19 @@ class TeamMap:
         self._marks: list[GenericLayer | None] = [None] * len(self._ids)
         self._shown: list[tuple[str, float]] = [("", 0.0)] * len(self._ids)
         self._labelled: set[int] = set()
+        self.view.on("init", self._label)
+        self.themed(dark=dark)
+
+    def themed(self, *, dark: bool) -> None:
+        """What is seen where there are no tiles."""
+        self.view.style(f"background-color: {ground_colour(dark=dark)}")
+
+    def _label(self) -> None:
+        """Ids, which a browser takes only for what it has drawn: some are drawn before it is there, others later."""
+        for row, mark in enumerate(self._marks):
+            if mark is not None and row not in self._labelled:
+                self._labelled.add(row)
+                mark.run_method("bindTooltip", str(self._ids[row]), {"permanent": True, "direction": "top"})
 
     def _places(self, pos_enu_m: FloatArray) -> list[list[float]]:
         """Latitudes and longitudes of places in the team's frame, shape (k, 3)."""
@@ -134,9 +148,6 @@ class TeamMap:
                 )
                 self._shown[row] = colour, radius_m
                 continue
-            if self.view.is_initialized and row not in self._labelled:
-                self._labelled.add(row)
-                mark.run_method("bindTooltip", str(self._ids[row]), {"permanent": True, "direction": "top"})
             mark.args[0] = place  # a page that comes back is told where it is now
             mark.run_method("setLatLng", place)
             if self._shown[row] != (colour, radius_m):
@@ -144,6 +155,8 @@ class TeamMap:
                 mark.args[1] = {"radius": radius_m, "color": colour, "weight": 2}
                 mark.run_method("setStyle", {"color": colour})
                 mark.run_method("setRadius", radius_m)
+        if self.view.is_initialized:
+            self._label()
 
 
 def _zoom_for(size_m: float) -> int:

@@ -24,6 +24,13 @@ KILL_HELD_S = 1.5
 
 _SLOWLY_EVERY = 5
 _SHOWN, _PAIRS_SHOWN = 400, 100
+_NEWS_S = 5.0  # before a page was opened: alarms older than that are past, and make no sound
+_SILENT = "gs_silent"
+_SOUND = (
+    "try{const c=new AudioContext(),o=c.createOscillator();o.connect(c.destination);o.frequency.value=880;"
+    f"o.onended=()=>c.close();o.start();o.stop(c.currentTime+0.25);if(c.state=='suspended')emitEvent('{_SILENT}');}}"
+    f"catch(e){{emitEvent('{_SILENT}');}}"
+)
 _KEYS = {"s": "start", "h": "hold", "r": "resume", "b": "return", "l": "land all"}
 _LOOKS = {"1": "side", "2": "top", "3": "follow"}
 _SHORTCUTS = "keys: s start, h hold, r resume, b back to pads, l land all; 1 side, 2 top, 3 follow; m sound on or off"
@@ -61,6 +68,7 @@ class Page:
     def __init__(self, desk: Desk, role: Role, page: str, name: str, *, solid: bool) -> None:
         self._desk, self._role, self._page, self._name = desk, role, page, name
         self._ticks = 0
+        self._since_s: float | None = None
         self._pressed_s: float | None = None
         self._buttons: list[tuple[ui.button, ui.tooltip, Order]] = []
         with ui.header().classes("items-center gap-4 py-1"):
@@ -81,6 +89,7 @@ class Page:
         with self._view.side:
             self._controls()
         theme.ask()
+        ui.on(_SILENT, lambda: self._say("alarm: this browser makes no sound before the page was clicked", "warning"))
         # A button that was clicked keeps the focus: keys count there too, but not where somebody writes.
         ui.keyboard(on_key=self._key, ignore=["input", "select", "textarea"], repeating=False)
         ui.timer(0.1, self._update)
@@ -196,8 +205,7 @@ class Page:
         self._view.tell(snapshot)
         self._view.draw(list(feed.history)[-_SHOWN:], words.radius_m, list(feed.pairs)[-_PAIRS_SHOWN:])
         self._view.time_goes(spans_of(feed.notes, snapshot.t_s), feed.notes, snapshot.t_s)
-        if self._view.happened(feed.notes) and self._mute.value:
-            ui.run_javascript(
-                "try{const c=new AudioContext();const o=c.createOscillator();o.connect(c.destination);"
-                "o.frequency.value=880;o.start();o.stop(c.currentTime+0.25);}catch(e){}"
-            )
+        if self._since_s is None:
+            self._since_s = snapshot.t_s - _NEWS_S
+        if self._view.happened(feed.notes, self._since_s) and self._mute.value:
+            ui.run_javascript(_SOUND)

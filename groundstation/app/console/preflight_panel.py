@@ -26,12 +26,8 @@ class PreflightPanel:
             with ui.row().classes("items-center gap-4"):
                 self.orders = ui.row().classes("gap-2")
                 self._team = ui.label().classes("text-sm font-bold").props(named("preflight-team"))
-            columns = [
-                {"name": name, "label": name, "field": name, "sortable": True, "align": "left"}
-                for name in (*COLUMNS, _REMEDY)
-            ]
-            self._table = ui.table(columns=columns, rows=[], row_key=COLUMNS[0]).classes("w-full")
-            self._table.props("dense wrap-cells virtual-scroll hide-pagination").style("max-height: 20rem")
+            self._table = ui.table(columns=_columns(remedies=False), rows=[], row_key=COLUMNS[0]).classes("w-full")
+            self._table.props("dense virtual-scroll hide-pagination").style("max-height: 20rem")
             self._table.props(":rows-per-page-options=[0]").props(named("preflight-table"))
             self._waiting = ui.label().classes("text-sm whitespace-pre-line").props(named("problems"))
 
@@ -51,4 +47,18 @@ class PreflightPanel:
             self._shown = checks
             ready = sum(row[_STATE] == "ready" for row in checks)
             self._team.set_text(f"{ready} of {len(checks)} ready")
+            self._table.columns = _columns(remedies=any(row[-1] for row in checks))
             self._table.rows = [dict(zip((*COLUMNS, _REMEDY), row, strict=False)) for row in checks]
+
+
+def _columns(*, remedies: bool) -> list[dict[str, object]]:
+    """What needs eyes comes first: a tablet shows the first of a row, and scrolls to the others."""
+    first = [COLUMNS[0], COLUMNS[_STATE], *([_REMEDY] if remedies else ())]
+    columns: list[dict[str, object]] = [
+        {"name": name, "label": name, "field": name, "sortable": True, "align": "left"}
+        for name in (*first, *(name for name in COLUMNS if name not in first))
+    ]
+    for column in columns:
+        if column["name"] == _REMEDY:
+            column["style"] = "white-space: normal; min-width: 20rem"
+    return columns

@@ -24,7 +24,7 @@ class Theme:
         self._changed = changed
         ui.colors(primary=BLUE)  # dark enough for white letters in the sun
         self._dark = ui.dark_mode(None)
-        ui.button("light / dark", on_click=self._toggle).props("dense flat color=white")
+        ui.button(icon="contrast", on_click=self._toggle).props('dense flat color=white aria-label="light / dark"')
 
     def ask(self) -> None:
         """Asks the browser, once it is there."""

@@ -195,6 +195,8 @@ class TeamView:
             self._scene = None
             self._place.clear()
         self._dark = dark
+        if self._map is not None:
+            self._map.themed(dark=dark)
 
     def look(self, where: str) -> None:
         """Moves the camera of the scene: side, top or follow."""
@@ -215,7 +217,7 @@ class TeamView:
         if np.isfinite(snapshot.anchor_deg_m).all():
             if self._map is None:
                 with self._map_place:
-                    self._map = TeamMap(snapshot, self._tiles)
+                    self._map = TeamMap(snapshot, self._tiles, dark=bool(self._dark))
             self._map.show(snapshot)
         told = figures_of(snapshot, self._digits)
         for name, label in self._figures.items():
@@ -240,14 +242,14 @@ class TeamView:
                 )
             )
 
-    def happened(self, notes: Sequence[Mark]) -> int:
-        """Adds what is new of what happened; returns how many alarms are among it."""
+    def happened(self, notes: Sequence[Mark], since_s: float = 0.0) -> int:
+        """Adds what is new of what happened; returns how many alarms of that time or later are among it."""
         new = notes[self._told :]
         self._told = len(notes)
         for t_s, kind, text in new[-_LINES:]:
             bold = " font-bold" if kind == "alarm" else ""
             self._news.push(f"{t_s:8.2f} s  {kind:5}  {text}", classes=f"whitespace-pre-wrap{bold}")
-        return sum(kind == "alarm" for _, kind, _ in new)
+        return sum(kind == "alarm" and t_s >= since_s for t_s, kind, _ in new)
 
     def time_goes(self, phases: Sequence[tuple[str, float, float]], marks: Sequence[Mark], end_s: float) -> None:
         """Draws the time line anew; the page stands at its end."""
