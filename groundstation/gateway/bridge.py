@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from groundstation.gateway.asked import Asked
 from groundstation.gateway.measured import Pose, charge, external_pose, read_pose
-from groundstation.gateway.orders import Arm, ExternalPose, LogRate, Order, Ping, Place, Recover, SetParam
+from groundstation.gateway.orders import Arm, ExternalPose, LogRate, Order, Ping, Place, Recover
 from groundstation.gateway.params import ParamServer
 from groundstation.gateway.pilot import SECOND_NS, Mode, Pilot
 from groundstation.gateway.quality import LinkQuality
@@ -116,8 +116,6 @@ class Bridge:
         """
         self._protocol = protocol
         self._params.know(params)
-        if params.get("commander.enHighLevel", (1.0, 0))[0] == 0.0:
-            self.pilot.orders.append(SetParam("commander.enHighLevel", 1.0))
 
     def resume(
         self, home_enu_m: Place | None, settings: Mapping[str, float], now_ns: int, *, in_a_room: bool = False

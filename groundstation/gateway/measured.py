@@ -24,6 +24,7 @@ STATUS_VARIABLES = ("pm.vbat", "pm.state", "kalman.varPX", "kalman.varPY", "kalm
 STATUS_MS = 500
 """Between two packets of those."""
 _MAGNITUDE = 511.0
+_DECK_FAILED = 11  # bit; 8 to 10 are the high-level commander's
 _HALF = math.sqrt(0.5)
 # Volts of one cell and what is left. Standing: a LiPo cell at rest. In the air: of a Crazyflie 2.1 hovering, by its
 # makers' warning at 3.2 V and shutdown at 3.0 V; a guess between those, on the low side.
@@ -108,6 +109,7 @@ class Supervisor:
 
     def __init__(self, bits: int) -> None:
         names = ("can_be_armed", "armed", "auto_armed", "can_fly", "flies", "tumbled", "locked", "crashed")
+        self.deck_failed = bool(bits >> _DECK_FAILED & 1)
         flags = {name: bool(bits >> k & 1) for k, name in enumerate(names)}
         self.can_be_armed, self.armed, self.auto_armed = flags["can_be_armed"], flags["armed"], flags["auto_armed"]
         self.can_fly, self.flies = flags["can_fly"], flags["flies"]
@@ -121,6 +123,8 @@ class Supervisor:
             return "crashed, by its own report; look at it, stand it upright, then restart it by a ground station"
         if self.tumbled:
             return "tumbled: lies on its side or back; stand it upright"
+        if self.deck_failed:
+            return "one of its decks has failed, by its own report; switch it off, see how its decks sit, and on again"
         if not (self.can_fly or self.can_be_armed):
             return "cannot fly, by its own report; let it stand still, see to its battery and self-test"
         return None

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from groundstation.core import frames
 from groundstation.gateway.bridge import Bridge
-from groundstation.gateway.measured import POSE_VARIABLES, charge, quat_ned_from_frd, unpacked_quaternion
+from groundstation.gateway.measured import POSE_VARIABLES, Supervisor, charge, quat_ned_from_frd, unpacked_quaternion
 from groundstation.gateway.names import short_names
 from groundstation.gateway.orders import EmergencyStop, Recover
 from groundstation.gateway.packets import packet_of
@@ -288,6 +288,22 @@ def test_charge_is_lower_at_the_same_voltage_standing_than_flying() -> None:
     assert charge(3.7, flies=True) > charge(3.7, flies=False)
     assert charge(2.9, flies=True) == 0.0
     assert math.isnan(charge(0.0, flies=False))
+
+
+@pytest.mark.parametrize(
+    ("bits", "words"),
+    [
+        (0x20E, None),  # as firmware of 2026.08 tells it at rest
+        (0x206, "cannot fly"),
+        (0xA04, "one of its decks has failed"),
+        (0x224, "stand it upright"),
+        (0x284, "crashed"),
+        (0x244, "switch it off and on"),
+    ],
+)
+def test_what_its_supervisor_says_is_told_in_words(bits: int, words: str | None) -> None:
+    trouble = Supervisor(bits).trouble()
+    assert trouble is None if words is None else words in str(trouble)
 
 
 def test_nobody_holds_or_returns_by_an_estimate_that_nobody_corrects() -> None:
