@@ -230,6 +230,8 @@ class Discovery:
             if first is not None and found.place_deg_m is not None:
                 east, north, _ = pymap3d.geodetic2enu(*found.place_deg_m, *first)
                 pad = [round(float(np.asarray(east)), 1) + 0.0, round(float(np.asarray(north)), 1) + 0.0, 0.0]
+            in_a_room = found.autopilot is not None and found.autopilot.behind_a_gateway
+            origin = "team" if in_a_room else "gps" if found.place_deg_m is not None else "pad"
             entries.append(
                 {
                     "id": found.sysid,
@@ -237,7 +239,7 @@ class Discovery:
                     "autopilot": found.autopilot.name if found.autopilot else "",
                     "profile": found.autopilot.profile if found.autopilot else "px4_quad",
                     "pad_m": pad,
-                    "origin": "gps" if found.place_deg_m is not None else "pad",
+                    "origin": origin,
                 }
             )
         lines = [yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000) for entry in entries]

@@ -18,6 +18,7 @@ from groundstation.mission.plan.vehicle_spec import VehicleSpec
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 from tests.app.commands import gs
+from tests.gateway.room import Room
 from tests.mavlink.sender import COMPANION, INVALID, Sender
 from tests.sitl.served import free_tcp_port, free_udp_port
 
@@ -50,6 +51,18 @@ def test_vehicles_of_both_kinds_are_found_with_their_places_as_a_block_for_a_mis
     assert math.dist(entries[1].pad_m, (5.0, -2.0, 0.0)) < 0.2
     assert [item.version for item in discovery.vehicles()] == ["1.17.0", "4.7.0"]
     assert discovery.doubles(4 * SECOND) == []
+
+
+def test_a_crazyflie_behind_its_gateway_is_named_in_the_frame_of_its_room() -> None:
+    room, discovery = Room(), Discovery([parse_address("udpin://0.0.0.0:14540")])
+    for tick in range(1, 100):
+        now_ns = room.now_ns + tick * 20 * MS
+        for sent in room.gateway.advance(now_ns):
+            discovery.receive(0, "gateway", sent.data, now_ns)
+        for out in discovery.outgoing(now_ns):
+            room.gateway.receive(0, b"".join(out.frames), now_ns)
+    (entry,) = yaml.safe_load(discovery.block(now_ns))["vehicles"]
+    assert (entry["autopilot"], entry["profile"], entry["origin"]) == ("crazyflie", "crazyflie", "team")
 
 
 def test_two_under_one_id_are_named_on_one_link_and_on_two() -> None:
