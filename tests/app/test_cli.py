@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,6 +29,26 @@ FLY_KEYS = {
 
 SHORT = ["--set", "steps.1.hold.seconds=1", "--set", "rate_hz=10"]
 TWO = ["fly", "--mission", "first_flight2.yaml", "--dry-run", *SHORT]
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The folder with the log and the manifest of ``TWO``, flown once, and what it answered."""
+    folder, answer = tmp_path_factory.mktemp("flown"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(answer):
+        patch.setattr(sys, "argv", ["gs", *TWO, "--json", "--log", str(folder / "a.tlog")])
+        with contextlib.suppress(SystemExit):
+            cli.main()
+    return folder, json.loads(answer.getvalue().splitlines()[-1])
+
+
+@pytest.fixture
+def in_a_copy(flown: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The working directory has copies of both; the answer."""
+    folder, answer = flown
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return answer
 
 
 def test_a_dry_run_answers_in_json_and_its_log_verifies_to_the_bit(
@@ -111,10 +135,9 @@ def test_wrong_usage_ends_with_2_and_a_message(
 
 
 def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    in_a_copy: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert gs([*TWO, "--log", "a.tlog"], monkeypatch, capsys)[0] == 0
+    assert in_a_copy["outcome"] == "completed"
     whole = Path("a.tlog").read_bytes()
     code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     assert (code, json.loads(out.splitlines()[-1])["complete"]) == (0, True)
@@ -139,11 +162,10 @@ def test_a_truncated_log_is_read_up_to_its_last_whole_frame_and_says_so(
     assert "is empty" in err
 
 
+@pytest.mark.usefixtures("in_a_copy")
 def test_a_command_that_was_changed_in_the_log_is_found_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    gs([*TWO, "--log", "a.tlog"], monkeypatch, capsys)
     data = Path("a.tlog").read_bytes()
     start = data.index(bytes([255, 190, 76, 0, 0])) - 5
     (command,) = FrameSplitter().feed(data[start : start + 12 + data[start + 1]])
@@ -286,12 +308,9 @@ def test_a_timetable_of_faults_goes_with_a_dry_run(
 
 
 def test_a_flight_by_gps_can_be_looked_at_like_any_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    in_a_copy: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, out, _ = gs([*TWO, "--json", "--log", "a.tlog"], monkeypatch, capsys)
-    assert code == 0
-    true_m = json.loads(out.splitlines()[-1])["min_distance_m"]
+    true_m = in_a_copy["min_distance_m"]
     code, out, _ = gs(["replay", "a.tlog", "--verify", "--json"], monkeypatch, capsys)
     values = json.loads(out.splitlines()[-1])
     assert (code, values["mismatches"]) == (0, 0)
