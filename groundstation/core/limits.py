@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from groundstation.core import frames
-from groundstation.core.quick import between, every, norms
+from groundstation.core.quick import between, every, norms, some
 from groundstation.core.types import FloatArray
 
 
@@ -77,7 +77,10 @@ def clamp_speed(vel_ned_m_s: FloatArray, speed_max_m_s: float) -> FloatArray:
     if not speed_max_m_s > 0.0:
         raise ValueError(f"speed limit is {speed_max_m_s} m/s, must be positive")
     speed = norms(vel_ned_m_s)
-    return np.where((speed > speed_max_m_s)[:, None], vel_ned_m_s * _ratio(speed_max_m_s, speed), vel_ned_m_s)
+    faster = speed > speed_max_m_s
+    if not some(faster):
+        return vel_ned_m_s.copy()
+    return np.where(faster[:, None], vel_ned_m_s * _ratio(speed_max_m_s, speed), vel_ned_m_s)
 
 
 def clamp_acceleration(
@@ -104,7 +107,10 @@ def clamp_acceleration(
     change = vel_ned_m_s - previous_ned_m_s
     size = norms(change)
     step = accel_max_m_s2 * period_s
-    return np.where((size > step)[:, None], previous_ned_m_s + change * _ratio(step, size), vel_ned_m_s)
+    farther = size > step
+    if not some(farther):
+        return vel_ned_m_s.copy()
+    return np.where(farther[:, None], previous_ned_m_s + change * _ratio(step, size), vel_ned_m_s)
 
 
 def fence_bounds(pos_team_ned_m: FloatArray, fence: Fence, rate_1_s: float) -> tuple[FloatArray, FloatArray]:

@@ -190,6 +190,8 @@ def _pairs(pos_m: FloatArray, counted: BoolArray | None, flying: BoolArray | Non
     if counted is not None:
         here = here & counted
     first, second = pairs(len(pos_m))
+    if every(here) and (flying is None or every(flying)):
+        return first, second
     wanted: BoolArray = np.asarray(here[first] & here[second])
     if flying is not None:
         wanted = wanted & (flying[first] | flying[second])

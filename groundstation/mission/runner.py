@@ -69,6 +69,7 @@ class Runner(Told):
         self._setpoint_every: IntArray = np.array(
             [max(1, int(np.ceil(plan.spec.rate_hz / plan.rates_of(i).setpoint_hz - 1e-9))) for i in range(plan.size)]
         )
+        self._takes_turns = bool((self._setpoint_every > 1).any())
         for link, rates in enumerate(plan.rates):
             if rates.limited:
                 self._team.verdict.note("info", rates.words(plan.links[link], plan.link_of_vehicle.count(link)))
@@ -219,14 +220,16 @@ class Runner(Told):
         team, state = self._team, self._machine.state
         if not state.speaks:
             return team.station.transmit_poses()  # without which they could not even come down by themselves
-        due = (team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0
         # Who waits to hear us follows the first setpoint that comes through, up to a second before we know.
         still = team.board.hold | team.board.waits | ~team.steerable
-        sent = np.where(still[:, None], 0.0, team.board.told(velocity_ned_m_s))
+        told = team.board.told(velocity_ned_m_s)
+        sent = np.where(still[:, None], 0.0, told) if some(still) else told.copy()
         self._sent_ned_m_s = team.landing.dark.velocities(sent, team.landing.in_the_dark, now_ns)
-        steered = np.asarray(team.roster.steered & state.streams)
+        steered = due = np.asarray(team.roster.steered & state.streams)
+        if self._takes_turns:
+            due = steered & ((team.figures.ticks + np.arange(self.plan.size)) % self._setpoint_every == 0)
         try:
-            return team.station.transmit(now_ns, self._shaped(steered), team.stance.yaw_ned_rad, due & steered)
+            return team.station.transmit(now_ns, self._shaped(steered), team.stance.yaw_ned_rad, due)
         except Exception as error:
             self._fault(error, now_ns)
             return []  # the next tick tries again; autopilots fly on by their last setpoint for half a second

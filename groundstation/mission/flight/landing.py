@@ -162,7 +162,8 @@ class Landing:
         on_ground = self._standing.at(now_ns)
         self.deaf = self._goes_on_following(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
-        ready = self.spots.step(now_ns, self._scene(around, on_ground))
+        anybody = some(roster.lands) or some(around.coming)
+        ready = self.spots.step(now_ns, self._scene(around, on_ground) if anybody else None)
         dark = self.in_the_dark and some(roster.lands)
         parting = self.dark.step(dark, self._standing.airborne(now_ns), self._seen_last(around), now_ns)
         for vehicle in (roster.lands & fleet.armed).nonzero()[0].tolist():

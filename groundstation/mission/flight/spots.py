@@ -93,12 +93,19 @@ class Spots:
                 told.append(News(vehicle, f"vehicle {self._ids[vehicle]}: {words}", elsewhere=bool(to_pad[vehicle])))
         return told
 
-    def step(self, now_ns: int, scene: Scene) -> BoolArray:
-        """Looks after everybody's place; returns who may come down now, shape (n,)."""
+    def step(self, now_ns: int, scene: Scene | None) -> BoolArray:
+        """Looks after everybody's place; returns who may come down now, shape (n,).
+
+        Args:
+            now_ns: time of the tick.
+            scene: where everybody is; None while nobody is to land, or on its way home.
+        """
         ready: BoolArray = np.zeros(len(self._ids), dtype=np.bool_)
         home_too = self._look_home.due(0, now_ns)  # large teams are on their way for long, and nothing changes fast
         if home_too:
             self._look_home.asked(0, now_ns)
+        if scene is None:
+            return ready
         looked_after = ~(scene.down | scene.sinks) & (scene.wanted | scene.coming)
         if not some(looked_after):
             return ready

@@ -114,7 +114,9 @@ class TeamFrame:
 
     def poses(self, fleet: Fleet, now_ns: int) -> Poses:
         """Poses of the team at one instant, each brought there from its measurement by its velocity."""
-        velocity = np.where(self.placement.on_earth[:, None], fleet.place_vel_ned_m_s, fleet.vel_ned_m_s)
+        velocity = fleet.vel_ned_m_s.copy()
+        if some(self.placement.on_earth):
+            velocity = np.where(self.placement.on_earth[:, None], fleet.place_vel_ned_m_s, velocity)
         position, carried_s = self._reported(fleet, now_ns)
         return Poses(position + self._shift_ned_m, velocity, fleet.quat_ned_from_frd, self._nobody, carried_s=carried_s)
 

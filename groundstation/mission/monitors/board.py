@@ -198,15 +198,17 @@ class Board:
         up, landing = fleet.armed, roster.told_to_land
         unsteered = self.blind | ~roster.ours | (self.foreign & ~landing)
         spec = self._plan.spec
-        seen_ns = np.where(self.blind, np.minimum(pose_ns, self._losses.since_ns), pose_ns)
-        growing_m = bounded_growth_m(
-            _FIRST_SHARE * spec.avoidance.radius_m,
-            spec.speed_limit_m_s,
-            (now_ns - seen_ns) / SECOND_NS - spec.limits.pose_age_s,
-            self._plan.limits.lost_radius_m,
-        )
-        strays = self._following.strays & ~landing
-        extra_m: FloatArray = np.where((unsteered | strays) & up, growing_m, 0.0)
+        larger = (unsteered | (self._following.strays & ~landing)) & up
+        extra_m: FloatArray = np.zeros(len(larger))
+        if some(larger):
+            seen_ns = np.where(self.blind, np.minimum(pose_ns, self._losses.since_ns), pose_ns)
+            growing_m = bounded_growth_m(
+                _FIRST_SHARE * spec.avoidance.radius_m,
+                spec.speed_limit_m_s,
+                (now_ns - seen_ns) / SECOND_NS - spec.limits.pose_age_s,
+                self._plan.limits.lost_radius_m,
+            )
+            extra_m = np.where(larger, growing_m, 0.0)
         may_sink = self.blind | (self.foreign & ~self.waits)  # PX4 in Hold stood within 0.4 m for 3 s
         return changed(poses, sinking=may_sink & up, extra_radius_m=extra_m)
 

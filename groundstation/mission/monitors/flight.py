@@ -10,7 +10,7 @@ import numpy as np
 
 from groundstation.core.limits import Fence
 from groundstation.core.metrics import near_pairs
-from groundstation.core.quick import any_of, length, norms, renewed, some
+from groundstation.core.quick import any_of, every, length, norms, renewed, some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mission.monitors.findings import SINGLE, Finding, Lasting, LastingOf, Reaction, Sight
 from groundstation.mission.monitors.headings import Headings
@@ -49,8 +49,10 @@ class BeyondFence:
         """Brings everybody back: whatever carries one vehicle out may carry out the next."""
         floor_ned_m, down_m = self._fence.max_team_ned_m[2], sight.pos_team_ned_m[:, 2]
         self._risen = sight.airborne & (self._risen | (down_m <= floor_ned_m - self._limit_m))
-        counted = sight.pos_team_ned_m.copy()
-        counted[:, 2] = np.where(self._risen, down_m, np.minimum(down_m, floor_ned_m))
+        counted = sight.pos_team_ned_m
+        if not every(self._risen):
+            counted = counted.copy()
+            counted[:, 2] = np.where(self._risen, down_m, np.minimum(down_m, floor_ned_m))
         outside_m = self._fence.outside_m(counted)
         counts = ours & ~sight.excused & ~sight.blind
         for vehicle in self._lasting((outside_m > self._limit_m) & counts, sight.now_ns):
@@ -127,10 +129,13 @@ class Distance:
         offsets = sight.pos_team_ned_m[second] - sight.pos_team_ned_m[first]
         apart = self._region.clearance(offsets)
         near: BoolArray = apart < 1.0
-        if some(near):
-            known = ~sight.blind & (sight.now_ns - sight.pose_ns < self._told_ns)
-            flies = sight.airborne & ours
-            near &= known[first] & known[second] & (flies[first] | flies[second])
+        if not some(near):
+            self._expected([], sight.now_ns)
+            self._lasting([], sight.now_ns)
+            return
+        known = ~sight.blind & (sight.now_ns - sight.pose_ns < self._told_ns)
+        flies = sight.airborne & ours
+        near &= known[first] & known[second] & (flies[first] | flies[second])
         rows = near.nonzero()[0]
         numbers = (first[rows] * self._n + second[rows]).tolist()
         of_pair = dict(zip(numbers, zip(rows.tolist(), apart[rows].tolist(), strict=True), strict=True))

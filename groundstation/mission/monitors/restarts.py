@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from groundstation.core.quick import every, some
 from groundstation.core.types import BoolArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.monitors.descents import KEEP
@@ -39,6 +40,10 @@ class Restarts:
         self._restarts = fleet.restarts.copy()
         anew = now_ns - self._anew_ns < _STARTED_NS
         self._aloft |= sight.airborne
+        if every(sight.airborne) and not some(sight.excused):  # nobody has come down, nobody is to
+            self._stands(~sight.airborne, now_ns)
+            self._unshown(sight.excused, now_ns)
+            return
         age_ns = now_ns - sight.pose_ns
         silent, old = age_ns > _STANDS_S * SECOND_NS, age_ns > _OLD_S * SECOND_NS
         for vehicle in self._stands(self._aloft & ~(sight.airborne | anew | old), now_ns):
