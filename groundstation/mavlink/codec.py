@@ -181,7 +181,7 @@ def _decode_lone(frame: Frame) -> list[Batch]:
     return [Batch(known.name, names[:1], names[1:], _FIRST, np.frombuffer(payload, dtype=known.dtype))]
 
 
-@dataclass
+@dataclass(eq=False)
 class Encoder:
     """Makes frames of one sender and counts its sequence number.
 

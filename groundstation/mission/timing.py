@@ -12,6 +12,11 @@ SECOND_NS = 1_000_000_000
 _LEAVES = 2.0  # times the tolerance: who is farther than that is there no more
 
 
+def age_s(now_ns: int, then_ns: int) -> float:
+    """Seconds since a time; infinite since ``NEVER``."""
+    return float("inf") if then_ns <= NEVER else (now_ns - then_ns) / SECOND_NS
+
+
 class SinceBefore:
     """Seconds since it was asked before.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from groundstation.core.quick import norms, some
 from groundstation.core.types import FloatArray
 
 
@@ -45,8 +46,10 @@ def pad_words(vehicle: int, ids: list[int], pos_m: FloatArray, pads_m: FloatArra
 
 def too_near(vehicle: int, pos_m: FloatArray, radius_m: float) -> tuple[int, float] | None:
     """The nearest other vehicle that is reported nearer than r, and how near; None when there is none."""
-    apart_m = np.linalg.norm(pos_m - pos_m[vehicle], axis=1)
+    apart_m = norms(pos_m - pos_m[vehicle])
     apart_m[vehicle] = np.inf
-    apart_m = np.where(np.isfinite(apart_m), apart_m, np.inf)
-    nearest = int(np.argmin(apart_m))
-    return (nearest, float(apart_m[nearest])) if apart_m[nearest] < radius_m else None
+    near = apart_m < radius_m  # NaN is not
+    if not some(near):
+        return None
+    nearest = int(np.where(near, apart_m, np.inf).argmin())
+    return nearest, float(apart_m[nearest])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.kinds import unflown_words
 from groundstation.mavlink.station import GROUND_STATION_SYSID, Station
@@ -25,7 +26,7 @@ from groundstation.mission.ground.streams import Streams
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.plan.profiles import approach_rate_1_s
 from groundstation.mission.reasons.blame import HELP_IN_THE_AIR
-from groundstation.mission.timing import SECOND_NS, AskAgain, Held, Since
+from groundstation.mission.timing import SECOND_NS, AskAgain, Held, Since, age_s
 
 _ASK_AGAIN_NS = 5 * SECOND_NS
 _REASON_FIRST_NS, _REASON_AGAIN_NS = 3 * SECOND_NS, 10 * SECOND_NS
@@ -84,6 +85,9 @@ class _Sight:
     off_m: FloatArray
     drift_m: FloatArray
     positions: FloatArray
+    silent: BoolArray
+    stale: BoolArray
+    any_armed: bool
 
 
 class _Looks:
@@ -184,7 +188,9 @@ class Preflight:
         # A place that is in doubt accuses nobody else.
         doubted = self._origins.doubted(now_ns)
         positions = np.where(doubted[:, None], np.nan, pos_team_ned_m)
-        sight = _Sight(now_ns, said, pose_ns, off_m, drift_m, positions)
+        old_s = self._plan.spec.limits.heartbeat_age_s
+        silent, stale = fleet.silent(now_ns, old_s), fleet.heartbeat_stale(now_ns, old_s)
+        sight = _Sight(now_ns, said, pose_ns, off_m, drift_m, positions, silent, stale, some(fleet.armed))
         for vehicle in self._looks.due():
             self._look(vehicle, sight)
         for vehicle in self._looks.others():
@@ -214,7 +220,7 @@ class Preflight:
             return
         self._tell_part(vehicle, now_ns, state)
         if fleet.heartbeat_ns[vehicle] == NEVER:
-            if fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
+            if sight.silent[vehicle]:
                 state.waiting.append(f"{name}: no heartbeat on {spec.link}; {self._where_else(vehicle, now_ns)}")
             else:  # it is there, and what its link cannot carry may be the very heartbeats
                 self.streams.ask(vehicle, now_ns, pose_ns, every=True)
@@ -230,7 +236,7 @@ class Preflight:
         if (kind := unflown_words(int(fleet.mav_type[vehicle]))) is not None:
             state.fatal.append(f"{name}: {kind}; correct its type or frame, or take it out of the mission")
             return
-        if fleet.armed.any():  # then nothing is asked of the others, and nothing set
+        if sight.any_armed:  # then nothing is asked of the others, and nothing set
             if fleet.armed[vehicle]:
                 self._armed(vehicle, now_ns, state)
             return
@@ -239,9 +245,9 @@ class Preflight:
         self.checks.ask(vehicle, now_ns)
         off_m = float(sight.off_m[vehicle]), float(sight.drift_m[vehicle])
         problem = (
-            self._deaf(vehicle, now_ns)
+            self._deaf(vehicle, sight)
             or (None if fleet.room is None else fleet.room.words(vehicle, now_ns))
-            or self._heard(vehicle, now_ns, pose_ns)
+            or self._heard(vehicle, sight)
             or self._readiness(vehicle, now_ns, sight.said)
             or self._clock(vehicle, now_ns, state)
             or self._place(vehicle, now_ns, off_m, sight.positions, state)
@@ -324,16 +330,16 @@ class Preflight:
             return f"heard there instead: system {', '.join(map(str, strangers[:8]))}; correct its id or link"
         return "switch it on, or correct its id or link"
 
-    def _deaf(self, vehicle: int, now_ns: int) -> str | None:
+    def _deaf(self, vehicle: int, sight: _Sight) -> str | None:
         """Words for a vehicle that talks and answers no command: whatever else it lacks follows from that."""
         commands = self._station.commands
         if commands.unanswered[vehicle] < _UNANSWERED:
             return None
-        if not commands.pending(vehicle) and self._probing.due(vehicle, now_ns):
+        if not commands.pending(vehicle) and self._probing.due(vehicle, sight.now_ns):
             # Any answer will do, a refusal too; otherwise one that hears again might never be asked again.
-            self._probing.asked(vehicle, now_ns)
+            self._probing.asked(vehicle, sight.now_ns)
             commands.request(vehicle, self._plan.autopilots[vehicle].once("AUTOPILOT_VERSION"))
-        if self._station.fleet.silent(now_ns, self._plan.spec.limits.heartbeat_age_s)[vehicle]:
+        if sight.silent[vehicle]:
             return None  # it does not talk either
         since = "any more" if commands.answered[vehicle] else f"({commands.unanswered[vehicle]} so far)"
         return (
@@ -341,16 +347,17 @@ class Preflight:
             f" from system {GROUND_STATION_SYSID}, and restart it"
         )
 
-    def _heard(self, vehicle: int, now_ns: int, pose_ns: int) -> str | None:
+    def _heard(self, vehicle: int, sight: _Sight) -> str | None:
         fleet, limits, rates = self._station.fleet, self._plan.spec.limits, self.streams.rates[vehicle]
-        if fleet.silent(now_ns, limits.heartbeat_age_s)[vehicle]:
-            heard_s = _age_s(now_ns, int(fleet.heard_ns[vehicle]))
+        now_ns = sight.now_ns
+        if sight.silent[vehicle]:
+            heard_s = age_s(now_ns, int(fleet.heard_ns[vehicle]))
             return f"last heard {heard_s:.1f} s ago, limit {limits.heartbeat_age_s:g} s; see to its link"
-        if fleet.heartbeat_stale(now_ns, limits.heartbeat_age_s)[vehicle]:
-            heartbeat_s = _age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
+        if sight.stale[vehicle]:
+            heartbeat_s = age_s(now_ns, int(fleet.heartbeat_ns[vehicle]))
             limit_s = HEARTBEAT_PATIENCE * limits.heartbeat_age_s
             return f"last heartbeat {heartbeat_s:.1f} s ago, limit {limit_s:g} s; restart it, or see to its link"
-        pose_s = _age_s(now_ns, pose_ns)
+        pose_s = age_s(now_ns, int(sight.pose_ns[vehicle]))
         if pose_s > limits.pose_age_s:
             age = "none yet" if pose_s == np.inf else f"{pose_s:.2f} s old"
             sends = "none" if pose_s == np.inf else "none any more"
@@ -481,7 +488,3 @@ class Preflight:
                 f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
             )
         return None
-
-
-def _age_s(now_ns: int, then_ns: int) -> float:
-    return float("inf") if then_ns <= NEVER else (now_ns - then_ns) / SECOND_NS

@@ -86,8 +86,9 @@ class Headings:
         self._flown = renewed(fresh, 0.0, self._flown + share * (flown_square - self._flown))
         rows = None if fresh is None else fresh[:, None]
         self._both = renewed(rows, 0.0, self._both + share * (both - self._both))
-        clear = self._clear()
-        off = clear & self._turned()
+        length = np.hypot(self._both[:, 0], self._both[:, 1])
+        clear = self._clear(length)
+        off = clear & self._turned(length) if some(clear) else clear
         news = self._off(off, sight.now_ns)
         found = clear & (self.turn_rad != 0.0)
         if not some(off | found):
@@ -123,15 +124,13 @@ class Headings:
         north, east, down = velocity_ned_m_s.T
         return np.stack([cos * north - sin * east, sin * north + cos * east, down], axis=1)
 
-    def _clear(self) -> BoolArray:
+    def _clear(self, length: FloatArray) -> BoolArray:
         """Whose motion is what it was told, turned by some angle, shape (n,)."""
-        length = np.hypot(self._both[:, 0], self._both[:, 1])
         moves = self._told > _LEAST_M_S**2
         gain = length / np.maximum(self._told, 1e-9)
         explained = length**2 / np.maximum(self._told * self._flown, 1e-12)
         return np.asarray(moves & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)
 
-    def _turned(self) -> BoolArray:
+    def _turned(self, length: FloatArray) -> BoolArray:
         """Whose motion points more than the limit away from what it was told, shape (n,)."""
-        length = np.hypot(self._both[:, 0], self._both[:, 1])
         return np.asarray(self._both[:, 0] < math.cos(_LIMIT_RAD) * length, dtype=np.bool_)

@@ -114,6 +114,9 @@ class Battery:
                     yield Finding(stage.reaction, what, (vehicle,), urgent=stage.reaction is not Reaction.SAY)
 
 
+_SOONER_S = 0.1  # so long before a report can be too old all of them are looked at
+
+
 class BatteryAge:
     """Batteries of which nothing is told any more, after it was: nobody would see them run down."""
 
@@ -121,13 +124,17 @@ class BatteryAge:
         reports_hz = [plan.rates_of(i).status_hz()["SYS_STATUS"] for i in range(plan.size)]
         self._limit_s: FloatArray = np.maximum(plan.spec.limits.battery_age_s, _REPORTS_MISSED / np.array(reports_hz))
         self._told_ns: IntArray = np.full(plan.size, NEVER, dtype=np.int64)
+        self._seen, self._nobody_before_ns = b"", NEVER
         self._first, self._again = Lasting(plan.size, again=True), Lasting(plan.size)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of it, and brings the vehicle back when it lasts."""
-        fleet = sight.fleet
-        known = np.isfinite(fleet.battery_remaining) | np.isfinite(fleet.battery_v)
-        self._told_ns = np.where(known, fleet.status_ns, self._told_ns)
+        self._take(sight.fleet)
+        if sight.now_ns < self._nobody_before_ns:
+            none: BoolArray = np.zeros(len(ours), dtype=np.bool_)
+            self._first(none, sight.now_ns)
+            self._again(none, sight.now_ns)
+            return
         age_s = (sight.now_ns - self._told_ns) / SECOND_NS
         counts = (self._told_ns != NEVER) & sight.airborne & ours & ~sight.excused
         for vehicle in self._first(counts & (age_s > self._limit_s), sight.now_ns):
@@ -137,6 +144,18 @@ class BatteryAge:
             limit_s = _BATTERY_LOST * self._limit_s[vehicle]
             what = f"its battery was last told {age_s[vehicle]:.0f} s ago, limit {limit_s:.0f} s"
             yield Finding(Reaction.HOME, what, (vehicle,), remedy=_LOOK)
+
+    def _take(self, fleet: Fleet) -> None:
+        """Takes reports that are new, and works out until when nobody's can be too old."""
+        seen = fleet.status_ns.tobytes()
+        if seen == self._seen:
+            return
+        self._seen = seen
+        known = np.isfinite(fleet.battery_remaining) | np.isfinite(fleet.battery_v)
+        self._told_ns = np.where(known, fleet.status_ns, self._told_ns)
+        told_ns = self._told_ns[self._told_ns != NEVER]
+        if len(told_ns):
+            self._nobody_before_ns = int(told_ns.min()) + round((float(self._limit_s.min()) - _SOONER_S) * SECOND_NS)
 
 
 class _Stage:

@@ -53,14 +53,17 @@ class Wind:
         self._hardest_m_s2: FloatArray = np.zeros(n)
         self._since_before = SinceBefore(0)
         self._felt: tuple[FloatArray, float, float] | None = None
+        self._carried: tuple[FloatArray | None, FloatArray] = (None, np.zeros((n, 3)))
         self._near, self._beyond = Lasting(1, _LASTS_S), Lasting(1, _LASTS_S)
 
     @property
     def carried_m_s(self) -> FloatArray:
         """Velocity that a healthy vehicle may be carried with at the moment, against its will, shape (n, 3)."""
         expected = self.estimate.expected_m_s
-        size = norms(expected)[..., None]
-        return np.asarray(expected * np.minimum(1.0, self._excuse_max_m_s / np.maximum(size, 1e-9)))
+        if self._carried[0] is not expected:  # several ask in a tick
+            size = norms(expected)[..., None]
+            self._carried = expected, expected * np.minimum(1.0, self._excuse_max_m_s / np.maximum(size, 1e-9))
+        return self._carried[1]
 
     def blame(self, vehicle: int) -> str:
         """What is said besides of a vehicle that misses its setpoints in more wind than the limit; else nothing.
