@@ -26,6 +26,7 @@ from tests.app.browser import PATIENCE_MS, SOFTWARE_GL, Tab, chromium, opened
 
 GS = (sys.executable, "-m", "groundstation")
 FLIGHT = "fly --mission cube8 --dry-run --realtime --console --wait --seed 1 --json --set steps.1.hold.seconds=120"
+_EDITOR = "getElement(+document.querySelector('canvas').parentElement.id.slice(1))"
 _SOCKET = """url => new Promise(say => {
   const socket = new WebSocket(url);
   socket.onopen = () => say("open");
@@ -182,8 +183,38 @@ def points_come_and_go(solid: Tab) -> None:
     solid.press("remove point")
     solid.shows("size", "2 points, 2 vehicles")
     solid.shows("gains", "gains fit this shape")  # it is what it was
+    field = solid.page.get_by_test_id
+    expect(field("edges")).to_have_text("1 edges: 1-2")
+    for point in (1, 2):
+        solid.page.mouse.click(*seen_at(solid, point))
+    expect(field("edges")).to_have_text("0 edges: ")
+    for point in (2, 1):
+        solid.page.mouse.click(*seen_at(solid, point))
+    expect(field("edges")).to_have_text("1 edges: 1-2")
+    solid.shows("gains", "gains fit this shape")
+    x, y = seen_at(solid, 2)
+    solid.page.mouse.move(x, y)
+    solid.page.mouse.down()
+    solid.page.mouse.move(x + 40, y - 40, steps=5)
+    solid.page.mouse.up()
+    solid.shows("gains", "the shape has no gains yet")
+    field("points").click()
+    expect(field("point-2-z")).not_to_have_value("0")
     assert solid.wrong == []
     solid.page.close()
+
+
+def seen_at(solid: Tab, point: int) -> tuple[float, float]:
+    """Where on the page a point of first_flight2 is, once all is drawn and the camera stands still."""
+    place = f"""(() => {{
+      const scene = {_EDITOR}, box = document.querySelector("canvas").getBoundingClientRect();
+      const mesh = [...scene.objects.values()].map(item => item.mesh).find(mesh => mesh?.name === "{point - 1}");
+      if (mesh?.position.x !== {point - 1} || !scene.camera_tween || scene.camera_tween.isPlaying()) return null;
+      const seen = mesh.position.clone().project(scene.camera);
+      return [box.left + (1 + seen.x) / 2 * box.width, box.top + (1 - seen.y) / 2 * box.height];
+    }})()"""
+    x, y = solid.page.wait_for_function(place).json_value()
+    return float(x), float(y)
 
 
 def nobody_else_gets_in(browser: Browser, operator: str, viewer: str) -> None:

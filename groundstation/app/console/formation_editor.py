@@ -9,15 +9,15 @@ from functools import partial
 
 import numpy as np
 from nicegui import run, ui
-from nicegui.elements.scene.objects.line import Line
 from nicegui.elements.scene.objects.sphere import Sphere
 from nicegui.elements.scene.objects.text import Text
 from nicegui.events import SceneClickEventArguments, SceneDragEventArguments
 
 from groundstation.app.console.charts import BLUE, GREY, ORANGE
+from groundstation.app.console.common import Segments
 from groundstation.app.console.draft import Draft
 from groundstation.app.console.naming import named
-from groundstation.app.console.scene import along, ground_colour
+from groundstation.app.console.scene import ground_colour
 from groundstation.core.errors import UserError
 from groundstation.design.designer import DesignResult, design, evaluator
 from groundstation.design.graphs import SHARE, Kind, suggest
@@ -283,7 +283,6 @@ class _Shape:
         self._draft, self._dragged, self._clicked, self._added = draft, dragged, clicked, added
         points = np.array(draft.points)
         middle, size = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 1.0)
-        self._lines: list[Line] = []
         self._balls: list[Sphere] = []
         self._labels: list[Text] = []
         self.view = ui.scene(
@@ -298,6 +297,7 @@ class _Shape:
                 self._balls.append(scene.sphere(0.05 * size).draggable())
                 self._balls[-1].with_name(str(row))
                 self._labels.append(scene.text(str(row + 1)))
+            self._lines = Segments()
         x, y, z = middle.tolist()
         self.view.move_camera(x - 0.6 * size, y - 1.5 * size, z + 0.7 * size, look_at_x=x, look_at_y=y, look_at_z=z)
         self._size = size
@@ -320,13 +320,5 @@ class _Shape:
         for row, point in enumerate(points):
             self._balls[row].move(*point).material(ORANGE if row == picked else BLUE)
             self._labels[row].move(point[0], point[1], point[2] + 0.12 * self._size)
-        with self.view as scene:
-            while len(self._lines) < len(self._draft.edges):
-                self._lines.append(scene.line([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]).material(GREY))
-        for number, line in enumerate(self._lines):
-            shown = number < len(self._draft.edges)
-            line.visible(shown)
-            if shown:
-                i, j = self._draft.edges[number]
-                begin, end = np.array(points[i - 1]), np.array(points[j - 1])
-                line.move(*points[i - 1]).rotate_R(along(begin, end)).scale(float(np.linalg.norm(end - begin)))
+        ends = [[points[i - 1], points[j - 1]] for i, j in self._draft.edges]
+        self._lines.draw(np.array(ends), [GREY] * len(ends))

@@ -57,18 +57,8 @@ def ground_lines_m(low_m: FloatArray, high_m: FloatArray) -> FloatArray:
     step_m = float(10.0 ** np.ceil(np.log10(max(size_m, 1.0) / _LINES)))
     begin, end = np.floor(low_m[:2] / step_m) - 1, np.ceil(high_m[:2] / step_m) + 1
     across = [[[x, begin[1], 0.0], [x, end[1], 0.0]] for x in np.arange(begin[0], end[0] + 1)]
-    along_ = [[[begin[0], y, 0.0], [end[0], y, 0.0]] for y in np.arange(begin[1], end[1] + 1)]
-    return np.array(across + along_) * step_m
-
-
-def along(begin_m: FloatArray, end_m: FloatArray) -> list[list[float]]:
-    """Rotation that takes the x axis into a direction, as rows."""
-    x = (end_m - begin_m) / max(float(np.linalg.norm(end_m - begin_m)), 1e-9)
-    other = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    y = np.cross(other, x)
-    y /= np.linalg.norm(y)
-    rows: list[list[float]] = np.stack([x, y, np.cross(x, y)], axis=1).tolist()
-    return rows
+    beside = [[[begin[0], y, 0.0], [end[0], y, 0.0]] for y in np.arange(begin[1], end[1] + 1)]
+    return np.array(across + beside) * step_m
 
 
 class TeamScene:
