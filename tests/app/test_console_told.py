@@ -11,14 +11,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import expect
 
 from groundstation.app.check_screen import COLUMNS
-from groundstation.app.console.snapshot import Snapshot, encode
+from groundstation.app.console.snapshot import AIRBORNE, LOST, Snapshot, encode
 from groundstation.app.console.viewers import Viewers
 from groundstation.core.phases import Phase
-from tests.app.browser import chromium, opened
+from tests.app.browser import SOFTWARE_GL, chromium, opened
 from tests.app.test_order_socket import Desk
 
 _ROOT = Path(__file__).parents[2]
@@ -30,6 +31,22 @@ _COUNTS_SOUNDS = """
     createOscillator() { return { connect() {}, frequency: {}, stop() {}, start() { window.sounds++; } }; }
   };
 """
+
+
+_SCENE = """(() => {
+  const name = Object.keys(window).find((key) => key.startsWith("scene_c"));
+  const scene = name && getElement(+name.slice(7));
+  const meshes = scene ? [...scene.objects.values()].map((item) => item.mesh).filter((mesh) => mesh) : [];
+  const bodies = meshes.filter((mesh) => mesh.isInstancedMesh);
+  return {
+    counts: bodies.map((mesh) => mesh.count).join(),
+    places: bodies.map((mesh) => [...mesh.instanceMatrix.array.slice(0, 16 * mesh.count)]),
+    colours: bodies.map((mesh) => (mesh.instanceColor ? [...mesh.instanceColor.array.slice(0, 3 * mesh.count)] : [])),
+    lines: meshes.filter((mesh) => mesh.isLineSegments).map((mesh) => mesh.geometry.attributes.position.count / 2),
+    calls: scene ? scene.renderer.info.render.calls : 0,
+  };
+})()"""
+"""What three.js has of bodies and lines."""
 
 
 @contextmanager
@@ -115,4 +132,30 @@ def test_who_is_not_ready_stands_beside_what_to_do(tmp_path_factory: pytest.Temp
         send(found("ready", ""))
         tab.shows("preflight-team", "2 of 2 ready")
         expect(heads).to_have_count(len(COLUMNS))
+        assert tab.wrong == []
+
+
+def test_the_scene_has_everybody_where_they_are_and_in_their_colours(
+    tmp_path_factory: pytest.TempPathFactory, quiet: Snapshot
+) -> None:
+    folder = tmp_path_factory.mktemp("c")
+    nowhere = replace(quiet, pos_team_enu_m=np.full((2, 3), np.nan))
+    here_m = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, 6.0]])
+    with console(folder) as (url, send), chromium(*SOFTWARE_GL) as browser:
+        send(nowhere)
+        tab = opened(browser, url.replace("/flat?", "/?"))
+        pads, bodies, calm, told, ghosts = range(5)
+        drawn = f"({_SCENE}).counts === '2,0,0,0,0' && ({_SCENE}).calls > 0"
+        tab.page.wait_for_function(drawn)
+        send(replace(quiet, t_s=quiet.t_s + 1.0, pos_team_enu_m=here_m, state=np.array([AIRBORNE, AIRBORNE | LOST])))
+        tab.page.wait_for_function(f"({_SCENE}).counts === '2,2,1,1,2'")
+        tab.page.wait_for_function(f"({_SCENE}).lines.includes(12)")  # the fence
+        seen = tab.page.evaluate(_SCENE)
+        for which, places_m in ((pads, quiet.pads_enu_m), (bodies, here_m), (calm, here_m[:1]), (told, here_m[1:])):
+            matrices = np.array(seen["places"][which]).reshape(-1, 4, 4)  # three.js keeps columns
+            np.testing.assert_allclose(matrices[:, 3, :3], places_m, atol=1e-4)
+        colours = np.array(seen["colours"][bodies]).reshape(-1, 3)
+        assert colours[0].argmax() == 2  # blue
+        assert colours[1].argmax() == 0  # vermilion
+        assert len(seen["places"][ghosts]) == 2 * 16
         assert tab.wrong == []

@@ -19,7 +19,7 @@ export default class Bodies {
     this.mesh.count = places.length;
     places.forEach((place, row) => this.mesh.setMatrixAt(row, new THREE.Matrix4().set(...place, 0, 0, 0, 1)));
     this.mesh.instanceMatrix.needsUpdate = true;
-    if (colours === null) return;
+    if (!colours?.length) return; // as before, or of nobody
     colours.forEach((colour, row) => this.mesh.setColorAt(row, new THREE.Color(colour)));
     this.mesh.instanceColor.needsUpdate = true;
   }
