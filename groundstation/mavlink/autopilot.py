@@ -46,6 +46,8 @@ class Autopilot(ABC):
     mav_autopilot: int
     profile: str
     """What a vehicle of half a metre under it flies like (``mission.plan.profiles``), where nobody has said."""
+    follows: tuple[float, float] | None = None
+    """Lag and delay, s, with which its own velocity loop follows, where the mission gives none; None: the profile's."""
     takes_origin = False
     """Whether SET_GPS_GLOBAL_ORIGIN moves the estimator's origin once there is one."""
     chatter: tuple[str, ...] = ()

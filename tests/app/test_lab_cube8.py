@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,8 @@ from groundstation.app.verify import verify_log
 from groundstation.core import frames
 from groundstation.core.errors import UserError
 from groundstation.records.replay import load_flight
+from sitl.personalities import PROFILES
+from sitl.personalities.crazyflie.profiles import CRAZYFLIE
 from tests.app.flights import Flight, mission
 
 
@@ -29,6 +33,19 @@ def test_the_lab_cube_is_flown_and_replays_to_the_same_setpoints(tmp_path: Path)
     assert [len(track.t_ns) > 90 * flight.now_ns / 1e9 for track in tracks] == [True] * 8
     for row, track in enumerate(tracks):
         assert track.pos_team_enu_m[-1] == pytest.approx(frames.enu_from_ned(room.pos_ned_m[row]), abs=1e-6)
+
+
+def test_it_is_flown_by_vehicles_that_answer_as_the_firmware_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Its gains (25 degrees for 1 m/s, 6/s of attitude, 20 degrees at most); the emulator's own attitude is far quicker.
+    loops = replace(
+        CRAZYFLIE.loops, kp_xy_per_s=4.28, ki_xy_per_s2=0.17, attitude_rad_s=12.0, dead_time_s=0.04,
+        tilt_max_rad=math.radians(20.0),
+    )  # fmt: skip
+    monkeypatch.setitem(PROFILES, "crazyflie", replace(CRAZYFLIE, loops=loops))
+    flight = Flight(mission("lab_cube8"))
+    assert str(flight.runner.outcome) == "completed", flight.runner.reason
+    assert flight.world.min_distance_airborne_m >= 0.45
+    assert not flight.texts("alarm")
 
 
 def test_a_pad_for_an_origin_is_refused() -> None:

@@ -23,6 +23,17 @@ def test_every_mission_that_comes_along_is_valid(path: Path) -> None:
     assert plan.source == str(path)
 
 
+def test_a_crazyflie_follows_as_its_own_firmware_does_and_the_profile_as_before_under_others() -> None:
+    missions = packaged_configs() / "missions"
+
+    def lag_and_delay(name: str, *changes: str) -> set[tuple[float, float]]:
+        return {(item.lag_s, item.delay_s) for item in load_mission(missions / name, changes).vehicle_profiles}
+
+    assert lag_and_delay("lab_cube8.yaml") == {(0.13, 0.2)}
+    assert lag_and_delay("lab_cube8.yaml", "profiles={crazyflie: {lag_s: 0.15, delay_s: 0.3}}") == {(0.15, 0.3)}
+    assert lag_and_delay("cube8.yaml") == {(0.2, 0.05)}
+
+
 def test_cube8_is_flown_as_the_paper_says_with_the_gain_that_the_lag_allows() -> None:
     plan = load_mission(CUBE8)
     assert (plan.spec.avoidance.radius_m, plan.spec.avoidance.activation_m) == (0.45, 0.5)

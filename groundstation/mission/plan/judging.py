@@ -46,6 +46,7 @@ from groundstation.mission.plan.profiles import (
 )
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.plan.stages import Shape, check_clearance, check_order, check_shape, make_stages, plan_moves
+from groundstation.mission.plan.vehicle_spec import VehicleSpec
 from groundstation.mission.plan.wind import check_wind, gust_margin_m, room_for_wind, wind_limit
 
 
@@ -75,7 +76,7 @@ def build_plan(
     }
     profiles = known_profiles(spec, source)
     _check_vehicles(spec, first.formation, source, profiles)
-    vehicle_profiles = tuple(profiles[item.profile] for item in spec.vehicles)
+    vehicle_profiles = tuple(_as_followed(spec, item, profiles) for item in spec.vehicles)
     compensation_s = compensated_lag_s(spec, vehicle_profiles)
     vehicle_profiles = tuple(compensated(item, compensation_s) for item in vehicle_profiles)
     _check_compensation(spec, vehicle_profiles, compensation_s, source)
@@ -242,6 +243,16 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
         same = known.lag_s == PROFILES[like].lag_s and airframe.drag_1_s == PROFILES[like].airframe.drag_1_s
         profiles[name] = known if same else replace(known, response=None)
     return profiles
+
+
+def _as_followed(spec: MissionSpec, vehicle: VehicleSpec, profiles: Mapping[str, VehicleProfile]) -> VehicleProfile:
+    """The profile of a vehicle, with what is known of the velocity loop of its autopilot's own firmware."""
+    profile, autopilot = profiles[vehicle.profile], AUTOPILOTS.get(vehicle.autopilot)
+    own = autopilot is not None and vehicle.profile == autopilot.profile and vehicle.profile not in spec.profiles
+    if autopilot is None or autopilot.follows is None or not own:
+        return profile
+    lag_s, delay_s = autopilot.follows
+    return replace(profile, lag_s=lag_s, delay_s=delay_s)
 
 
 def _check_vehicles(

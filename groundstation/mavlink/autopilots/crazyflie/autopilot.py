@@ -24,6 +24,7 @@ class Crazyflie(Autopilot):
     behind_a_gateway = True
     mav_autopilot = 0  # MAV_AUTOPILOT_GENERIC
     profile = "crazyflie"
+    follows = (0.13, 0.2)  # of firmware 2026.08 in simulation (docs/crazyflie.md): it answers in an S, nearly all delay
     estimator_message = "ESTIMATOR_STATUS"
     oldest = tried = (9, 0)
     failsafes = CrazyflieFailsafes()
