@@ -96,10 +96,8 @@ class Orders:
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
         if self._flight.mode != GUIDED or self._flight.taking_off_to is not None:
             return
-        body, senses = self._pilot.body, self._pilot.body.senses
-        self._flight.follow(
-            read_ardupilot(fields, body.now_ns, senses.origin_enu_m, senses.pos_enu_m, senses.yaw_enu_rad)
-        )
+        body = self._pilot.body
+        self._flight.follow(read_ardupilot(fields, body.now_ns, body.senses))
 
     def _on_set_origin(self, fields: Fields, _frame: Frame) -> None:
         """Takes an origin only while there is none; bad values fail without a word."""

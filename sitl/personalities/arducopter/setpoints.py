@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
-from sitl.setpoints import BODY_NED, BODY_OFFSET_NED, LOCAL_NED, LOCAL_OFFSET_NED, NOTHING, Setpoint, heading, turned
+from sitl.body import Senses
+from sitl.setpoints import (
+    BODY_NED,
+    BODY_OFFSET_NED,
+    LOCAL_NED,
+    LOCAL_OFFSET_NED,
+    NOTHING,
+    Setpoint,
+    Triple,
+    heading,
+    turned,
+)
 from sitl.wire import Fields
 
 _SPEED_SANE_M_S = 1000.0
 
 
-def read_ardupilot(
-    fields: Fields, t_ns: int, origin_enu_m: Sequence[float], pos_enu_m: Sequence[float], yaw_enu_rad: float
-) -> Setpoint | None:
+def read_ardupilot(fields: Fields, t_ns: int, senses: Senses) -> Setpoint | None:
     """Reads a setpoint as ArduCopter does: any ignored axis ignores its whole triple.
 
     Returns:
@@ -29,8 +37,10 @@ def read_ardupilot(
     if frame in (BODY_NED, BODY_OFFSET_NED):
         for triple in (pos, vel):
             if triple is not None:
-                triple[:2] = turned(triple[0], triple[1], yaw_enu_rad)
-    base = origin_enu_m if frame == LOCAL_NED else pos_enu_m
-    target = NOTHING if pos is None else (base[0] + pos[1], base[1] + pos[0], base[2] - pos[2])
-    speed = NOTHING if vel is None else (vel[1], vel[0], -vel[2])
+                triple[:2] = turned(triple[0], triple[1], senses.yaw_enu_rad)
+    target: Triple = NOTHING
+    if pos is not None:
+        base = senses.origin_enu_m if frame == LOCAL_NED else senses.pos_enu_m
+        target = base[0] + pos[1], base[1] + pos[0], base[2] - pos[2]
+    speed: Triple = NOTHING if vel is None else (vel[1], vel[0], -vel[2])
     return Setpoint(t_ns, target, speed, *heading(fields))

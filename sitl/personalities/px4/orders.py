@@ -98,7 +98,7 @@ class Orders:
     def _on_setpoint(self, fields: Fields, _frame: Frame) -> None:
         pilot, body = self._pilot, self._pilot.body
         try:
-            point = read_px4(fields, body.now_ns, body.senses.origin_enu_m, body.senses.yaw_enu_rad)
+            point = read_px4(fields, body.now_ns, body.senses)
         except ValueError as error:
             pilot.voice.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED {error}\t")
             return

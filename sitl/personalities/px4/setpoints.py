@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import isfinite
 
-from sitl.setpoints import BODY_NED, LOCAL_NED, Setpoint, heading, turned
+from sitl.body import Senses
+from sitl.setpoints import BODY_NED, LOCAL_NED, NOTHING, Setpoint, heading, turned
 from sitl.wire import Fields
 
 
-def read_px4(fields: Fields, t_ns: int, origin_enu_m: Sequence[float], yaw_enu_rad: float) -> Setpoint | None:
+def read_px4(fields: Fields, t_ns: int, senses: Senses) -> Setpoint | None:
     """Reads a setpoint as PX4 does: axis by axis, NaN and masked axes are not commanded.
 
     Returns:
@@ -31,12 +31,15 @@ def read_px4(fields: Fields, t_ns: int, origin_enu_m: Sequence[float], yaw_enu_r
     if frame == BODY_NED:
         x = y = z = None  # positions in the body frame are not supported
         if north is not None and east is not None:
-            north, east = turned(north, east, yaw_enu_rad)
+            north, east = turned(north, east, senses.yaw_enu_rad)
     if north is east is down is x is y is z is None:
         return None
-    pos = (
-        None if y is None else origin_enu_m[0] + y,
-        None if x is None else origin_enu_m[1] + x,
-        None if z is None else origin_enu_m[2] - z,
-    )
+    pos = NOTHING
+    if not (x is y is z is None):
+        origin_enu_m = senses.origin_enu_m
+        pos = (
+            None if y is None else origin_enu_m[0] + y,
+            None if x is None else origin_enu_m[1] + x,
+            None if z is None else origin_enu_m[2] - z,
+        )
     return Setpoint(t_ns, pos, (east, north, None if down is None else -down), *heading(fields))
