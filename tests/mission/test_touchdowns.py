@@ -117,7 +117,7 @@ def _comes_down(
         if not failed_ns and motion.pos_enu_m[2, 0] <= height_m:
             failed_ns = now_ns
         broken = bool(failed_ns) and now_ns - failed_ns < fails_s * SECOND_NS
-        dynamics.health.thrust_share[:] = share if broken else 1.0
+        dynamics.health.power(0, share if broken else 1.0)
         if bool(dynamics.health.tumbling[0]) != (broken and tumbles):
             dynamics.health.tumble(0, broken and tumbles)
         stood_ns = stood_ns + STEP_NS if motion.on_ground[0] else 0

@@ -173,7 +173,7 @@ def test_one_that_lifts_off_with_a_broken_motor_turns_over_on_its_pad() -> None:
     dynamics = flying("px4_quad")
     dynamics.motion.pos_enu_m[2, 0] = 0.0
     dynamics.health.tumble(0, True)
-    dynamics.health.thrust_share[0] = 0.2
+    dynamics.health.power(0, 0.2)
     dynamics.commands.vel_sp_enu_m_s[2] = 0.5
     run(dynamics, 1.0)
     assert dynamics.motion.crashed[0]
