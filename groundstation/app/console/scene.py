@@ -52,13 +52,17 @@ def line_colour(*, dark: bool) -> str:
 
 
 def ground_lines_m(low_m: FloatArray, high_m: FloatArray) -> FloatArray:
-    """A grid on the ground beneath a box and around it, lines a metre, ten or a hundred apart, shape (k, 2, 3)."""
+    """A grid on the ground beneath a box and around it, a metre, ten or a hundred wide, shape (k, 2, 3).
+
+    Cell by cell: the software renderer leaves out a whole line that begins behind the camera.
+    """
     size_m = float(np.max((high_m - low_m)[:2]))
     step_m = float(10.0 ** np.ceil(np.log10(max(size_m, 1.0) / _LINES)))
     begin, end = np.floor(low_m[:2] / step_m) - 1, np.ceil(high_m[:2] / step_m) + 1
-    across = [[[x, begin[1], 0.0], [x, end[1], 0.0]] for x in np.arange(begin[0], end[0] + 1)]
-    beside = [[[begin[0], y, 0.0], [end[0], y, 0.0]] for y in np.arange(begin[1], end[1] + 1)]
-    return np.array(across + beside) * step_m
+    xs, ys = np.arange(begin[0], end[0] + 1), np.arange(begin[1], end[1] + 1)
+    north = [[[x, y, 0.0], [x, y + 1, 0.0]] for x in xs for y in ys[:-1]]
+    east = [[[x, y, 0.0], [x + 1, y, 0.0]] for x in xs[:-1] for y in ys]
+    return np.array(north + east) * step_m
 
 
 class TeamScene:
@@ -79,7 +83,7 @@ class TeamScene:
         self.view = ui.scene(grid=False, background_color=ground_colour(dark=dark), fps=_FRAMES_PER_S).classes("w-full")
         self.view.style("height: min(60vh, 32rem)")
         body_m = 0.35 * r_m
-        round_, tall = (32, 16) if n <= _MANY else (10, 6)  # corners are what a software renderer pays for
+        round_, tall = (32, 16) if n <= _MANY else (8, 4)  # corners are what a software renderer pays for
         with self.view as scene:
             Bodies("cylinder", [0.4 * r_m, 0.4 * r_m, 0.01, 32 if n <= _MANY else 12], n).place(
                 pads_m, _UPRIGHT, np.ones(n), [GREY] * n
@@ -95,7 +99,7 @@ class TeamScene:
             self._bodies = Bodies("box", [2 * body_m, body_m, 0.4 * body_m], n)
             self._regions = Bodies("sphere", [r_m / 2, round_, tall], n, 0.15)
             self._told = Bodies("sphere", [r_m / 2, round_, tall], n, 0.3)
-            self._ghosts = Bodies("sphere", [0.3 * body_m, 6, 4], n, 0.6)
+            self._ghosts = Bodies("sphere", [0.3 * body_m, 6, 3], n, 0.6)
             self._edges = Segments()
             self._labels = [scene.text(str(sysid)).visible(False) for sysid in snapshot.ids.tolist()]
             self._trail_cloud = scene.point_cloud([_NOWHERE], [_TRAIL_COLOUR], 0.03)
