@@ -110,7 +110,11 @@ def test_a_log_without_a_manifest_is_shown_as_far_as_it_tells(tmp_path: Path) ->
     assert np.isnan(snapshot.words.radius_m)
     assert len(snapshot.edges) == 0
     assert np.isnan(largest_error_m(snapshot))
-    assert (snapshot.fence_enu_m[0] < snapshot.fence_enu_m[1]).all()
+    flown_m = np.concatenate([track.pos_team_enu_m for track in recorded.flight.vehicles])
+    low, high = snapshot.fence_enu_m
+    size_m = float(np.ptp(flown_m, axis=0)[:2].max())
+    np.testing.assert_allclose(flown_m.min(axis=0)[:2] - low[:2], max(0.5, 0.3 * size_m))
+    np.testing.assert_allclose(high - flown_m.max(axis=0), [max(0.5, 0.3 * size_m)] * 2 + [0.5])
 
 
 @settings(deadline=None)

@@ -21,7 +21,7 @@ from groundstation.records.replay import MAX_GAP_NS, Flight, Phase
 from groundstation.records.tracks import VehicleTrack
 
 _ROWS, _PAIR_ROWS = 800, 300
-_MARGIN_M = 0.5
+_MARGIN_M, _MARGIN = 0.5, 0.3  # around what was flown, where a log tells no fence; at the sides by its width too
 _KINDS = ("phase", "alarm", "info", "roles")
 
 Mark = tuple[float, str, str]
@@ -204,7 +204,10 @@ class Recorded:
         if not placed:
             return np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
         every = np.concatenate(placed)
-        return np.array([every.min(axis=0) - _MARGIN_M, every.max(axis=0) + _MARGIN_M])
+        low_m, high_m = every.min(axis=0), every.max(axis=0)
+        beside_m = max(_MARGIN_M, _MARGIN * float(np.max((high_m - low_m)[:2])))  # so that a page sees all of it
+        margin_m = np.array([beside_m, beside_m, _MARGIN_M])
+        return np.array([low_m - margin_m, high_m + margin_m])
 
 
 def _phase_at(phases: tuple[Phase, ...], t_ns: int) -> str:
