@@ -41,7 +41,7 @@ def _shorten(vectors: Array, limit: Array) -> None:
 
 
 class Reference:
-    """The velocity that is to be followed now: position loop, own idea of north and level, dead time, filters."""
+    """The velocity that is to be followed now: position loop, own idea of north and level, dead time, shaping."""
 
     def __init__(self, profiles: Sequence[Profile], step_s: float, own_frames: OwnFrames | None = None) -> None:
         n, self._own_frames = len(profiles), own_frames
@@ -51,12 +51,8 @@ class Reference:
         self._delay_same = int(delay[0]) if (delay == delay[0]).all() else None
         self._length = int(delay.max()) + 1
         self._queue = np.zeros((self._length, 3, n))
-        filter_s = column(profiles, "loops.filter_s")
-        self._filtered = bool((filter_s > 0).any())
-        gain = np.where(filter_s > 0, 1.0 - np.exp(-step_s / np.maximum(filter_s, 1e-9)), 1.0)
-        self._gain = np.stack([gain, gain, gain])
-        self._feedforward = spread(profiles, "loops.filter_feedforward") / step_s
-        self._first, self._second = np.zeros((3, n)), np.zeros((3, n))
+        shaped = column(profiles, "loops.shape_accel_xy_m_s2") > 0.0
+        self._shaping = Shaping(profiles, step_s) if shaped.any() else None
 
     def step(self, k: int, commands: Commands, pos_enu_m: Array, pos_error_m: Array) -> tuple[Array, Array | None]:
         """Moves on by one step.
@@ -89,18 +85,66 @@ class Reference:
             ref = queue[(k - self._delay_same) % self._length]
         else:
             ref = queue[(k - self._delay) % self._length, :, self._cols].T
-        if not self._filtered:
-            return ref, None
-        self._first += (ref - self._first) * self._gain
-        change = (self._first - self._second) * self._gain
-        self._second = self._second + change
-        return self._second, change * self._feedforward
+        return (ref, None) if self._shaping is None else self._shaping.step(ref)
 
     def rest(self) -> None:
         """Forgets what was commanded."""
         self._queue[:] = 0.0
-        self._first[:] = 0.0
-        self._second = np.zeros_like(self._second)
+        if self._shaping is not None:
+            self._shaping.rest()
+
+
+class Shaping:
+    """Commands that change with limited acceleration and jerk, as ArduCopter's GUIDED mode gives them to its loop.
+
+    What is left of the way to the command asks for an acceleration: in proportion while that is little, so that a
+    small change is one lag, and as its root beyond, so that the jerk has room to end it (``shape_vel_accel`` and
+    ``sqrt_controller`` of ArduPilot's AP_Math). Level it is one length, upward another.
+    """
+
+    def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
+        level, up = "loops.shape_accel_xy_m_s2", "loops.shape_accel_z_m_s2"
+        accel = columns(profiles, level, level, up)
+        self._as_is: NDArray[np.bool_] = accel <= 0.0
+        self._some_as_is = bool(self._as_is.any())
+        self._accel = np.where(self._as_is, 1.0, accel)
+        jerk = np.where(self._as_is, 1.0, spread(profiles, "loops.shape_jerk_m_s3"))
+        self._twice_jerk, self._jerk_dt, self._dt = 2.0 * jerk, jerk * step_s, np.array(step_s)
+        self._per_s = jerk / self._accel
+        self._little = jerk / self._per_s**2
+        self._half_little = 0.5 * self._little
+        self._vel, self._acc = np.zeros_like(accel), np.zeros_like(accel)
+
+    def step(self, ref: Array) -> tuple[Array, Array]:
+        """The velocity to follow and its acceleration, shape (3, n), not to be written, of commands, shape (3, n)."""
+        left = ref - self._vel
+        size = self._sizes(left)
+        asked = self._per_s * size
+        if not _all(size <= self._little):
+            beyond = np.sqrt(self._twice_jerk * np.maximum(size - self._half_little, _TINY))
+            asked = np.where(size <= self._little, asked, beyond)
+        np.minimum(asked, self._accel, out=asked)
+        left *= asked
+        left /= size
+        left -= self._acc
+        left *= np.minimum(self._jerk_dt / self._sizes(left), _ONE)
+        self._acc = self._acc + left
+        self._vel = self._vel + self._acc * self._dt
+        if self._some_as_is:
+            self._vel[self._as_is] = ref[self._as_is]
+            self._acc[self._as_is] = 0.0
+        return self._vel, self._acc
+
+    def rest(self) -> None:
+        """Forgets what was commanded."""
+        self._vel, self._acc = np.zeros_like(self._vel), np.zeros_like(self._acc)
+
+    @staticmethod
+    def _sizes(vectors: Array) -> Array:
+        """Length of the level part in the first two rows, of the upward part in the third, shape (3, n), > 0."""
+        out = np.abs(vectors)
+        out[1] = out[0] = np.hypot(vectors[0], vectors[1])
+        return np.maximum(out, _TINY, out=out)
 
 
 class VelocityLoop:

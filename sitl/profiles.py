@@ -44,15 +44,16 @@ class Airframe:
 class LoopGains:
     """How its inner loops are set.
 
-    The velocity loop is a PI controller on the estimated velocity with an optional command filter in front; it asks
-    for an acceleration, the tilt and the thrust that produce it follow with their own lags.
+    The velocity loop is a PI controller on the estimated velocity; where commands are shaped before it sees them, it
+    follows a velocity that comes nearer to the command with limited acceleration and jerk, and that is fed forward.
+    It asks for an acceleration, the tilt and the thrust that produce it follow with their own lags.
 
     Attributes:
         kp_xy_per_s, kp_z_per_s: proportional gain, acceleration per velocity error.
         ki_xy_per_s2, ki_z_per_s2: integral gain.
         drag_feedforward: share of the drag that the controller compensates beforehand, 0 to 1.
-        filter_s: time constant of each of the two command filters in series; 0 for none.
-        filter_feedforward: share of the filtered command's derivative fed forward to the acceleration.
+        shape_accel_xy_m_s2, shape_accel_z_m_s2: largest acceleration of shaped commands; 0 for commands as they are.
+        shape_jerk_m_s3: largest jerk of shaped commands.
         accel_max_m_s2: limit of the horizontal acceleration that the velocity loop asks for.
         dead_time_s: delay between a command and its first effect.
         attitude_rad_s: natural frequency of the (critically damped) attitude loop.
@@ -68,8 +69,9 @@ class LoopGains:
     ki_xy_per_s2: float
     ki_z_per_s2: float
     drag_feedforward: float
-    filter_s: float
-    filter_feedforward: float
+    shape_accel_xy_m_s2: float
+    shape_accel_z_m_s2: float
+    shape_jerk_m_s3: float
     accel_max_m_s2: float
     dead_time_s: float
     attitude_rad_s: float

@@ -119,8 +119,8 @@ def test_whose_answer_is_not_known_is_not_compensated(changes: list[str]) -> Non
 
 def test_in_a_mixed_team_nobody_stops_much_sooner_than_those_who_follow_it() -> None:
     team = ["vehicles.0.profile=arducopter", "vehicles.0.autopilot=arducopter"]
-    plan = load_mission(PX4_CUBE8, team)
-    assert {profile.lag_s for profile in plan.vehicle_profiles} == {0.9}
+    plan = load_mission(PX4_CUBE8, [*team, "speed_limit_m_s=0.5"])  # which takes 0.3 s at the acceleration limit
+    assert {profile.lag_s for profile in plan.vehicle_profiles} == {0.6}
     shape = plan.compensator()
     assert shape is not None
     assert shape.compensated.tolist() == [False] + [True] * 7

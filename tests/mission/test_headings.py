@@ -73,6 +73,26 @@ def test_healthy_ones_in_gusts_with_another_lag_and_a_little_turn_are_left_alone
     assert Flown([turn_deg] * 8, seed=seed, lag_s=lag_s, wind_m_s=wind_m_s).told(12.0) == []
 
 
+@pytest.mark.parametrize(("lags_s", "round_s"), [((0.3, 0.3), 1.8), ((0.3, 0.3), 2.0), ((0.4,), 1.2), ((0.05,), 2.0)])
+def test_a_healthy_one_that_flies_in_circles_is_no_turned_one(lags_s: tuple[float, ...], round_s: float) -> None:
+    """Told velocities turned by 180 degrees a second and more: a lag that is not known looks like a turn there."""
+    scene, flown = Scene("limits.tracking_m_s=5"), np.zeros((len(lags_s), 8, 3))
+
+    def circle() -> None:
+        angle = 2.0 * np.pi * scene.now_ns / 1e9 / round_s + np.arange(8.0)
+        scene.sent = 0.5 * np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=1)
+        goes = scene.sent
+        for lag, lag_s in enumerate(lags_s):
+            flown[lag] += TICK_S / lag_s * (goes - flown[lag])
+            goes = flown[lag]
+        scene.status()
+        scene.vel = goes.copy()
+        scene.pos = scene.pos + TICK_S * goes
+
+    scene.run(10.0, circle)
+    assert [line for line in scene.alarms if "its heading is off" in line] == []
+
+
 def test_who_is_told_to_stand_is_not_judged_by_what_carries_it() -> None:
     scene = Scene()
 

@@ -50,6 +50,20 @@ def test_cube8_is_flown_as_the_paper_says_with_the_gain_that_the_lag_allows() ->
     assert load_mission(CUBE8, ["scale={kind: free}"]).upright_1_s == 0.0
 
 
+def test_the_law_looks_ahead_no_farther_than_the_quickest_axis_bears() -> None:
+    """k lambda lead / lag upward, what a quick change is answered with: 4.9 1/s and more swung for good."""
+    for name, lag_up_s in (("arducopter_two_squares8", 0.2), ("mixed8", 0.2)):
+        plan = load_mission(CONFIGS / "missions" / f"{name}.yaml")
+        late_s = plan.profile.delay_s + 1.0 / plan.spec.rate_hz
+        rate_1_s = 0.6 / (plan.profile.lag_s - 0.75 * plan.lead_s + late_s)
+        assert 0.0 < rate_1_s * plan.lead_s / lag_up_s < 2.9
+    assert load_mission(CUBE8).lead_s == 0.2  # the same on all axes
+    of_one_lag = ["profiles={arducopter: {lag_up_s: 0.6}}"]
+    two_squares = CONFIGS / "missions" / "arducopter_two_squares8.yaml"
+    assert load_mission(two_squares, of_one_lag).lead_s == 0.6
+    assert load_mission(two_squares, ["lead_s=0.45"]).lead_s == 0.45
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -10,7 +10,7 @@ import pytest
 from sitl.dynamics import Dynamics
 from sitl.environment import Downwash, Wind
 from sitl.estimator import GPS, MOCAP, NOISELESS, Estimator, Noise
-from sitl.loops import GRAVITY_M_S2
+from sitl.loops import GRAVITY_M_S2, Shaping
 from sitl.personalities import PROFILES
 
 STEP_S = 0.004
@@ -61,7 +61,7 @@ def step_response(name: str, speed_m_s: float, axis: int = 0) -> tuple[np.ndarra
     ("name", "speed_m_s", "t63_s", "points"),
     [
         ("px4_quad", 2.0, 1.05, {1.0: 1.25, 3.0: 1.5, 6.0: 1.7}),
-        ("arducopter", 2.0, 0.9, {1.0: 1.45, 2.0: 1.94, 3.0: 2.0}),
+        ("arducopter", 2.0, 0.9, {1.0: 1.465, 2.0: 1.94, 3.0: 2.0}),
         ("crazyflie", 0.5, 0.2 + 0.05, {}),  # lag and delay of the prototype's Crazyflie
     ],
 )
@@ -71,6 +71,41 @@ def test_step_response_as_measured(name: str, speed_m_s: float, t63_s: float, po
     for at_s, expected in points.items():
         assert float(np.interp(at_s, t_s, velocity)) == pytest.approx(expected, rel=0.05)
     assert velocity.max() < 1.02 * speed_m_s
+
+
+@pytest.mark.parametrize(
+    ("axis", "speed_m_s", "lag_s"), [(0, 0.3, 0.5), (0, -1.0, 0.5), (2, 0.15, 0.2), (2, -0.15, 0.2)]
+)
+def test_arducopter_follows_small_changes_as_one_lag_of_its_acceleration_over_its_jerk(
+    axis: int, speed_m_s: float, lag_s: float
+) -> None:
+    t_s, velocity = step_response("arducopter", speed_m_s, axis)
+    share = velocity / speed_m_s
+    # Dead time, attitude and, for 1 m/s, the jerk come before.
+    assert t_s[np.argmax(share >= 0.632)] == pytest.approx(lag_s + 0.15, abs=0.1)
+    assert float(np.interp(lag_s * 4.0 + 0.15, t_s, share)) > 0.95
+    assert share.max() < 1.03
+
+
+def test_shaped_commands_keep_acceleration_and_jerk_and_end_where_they_are_told() -> None:
+    shaping = Shaping([PROFILES["arducopter"], PROFILES["px4_quad"]], STEP_S)
+    rng = np.random.default_rng(5)
+    told, before = np.zeros((3, 2)), np.zeros((3, 2))
+    for k in range(4000):
+        if k % 250 == 0:
+            told = rng.uniform(-3.0, 3.0, (3, 2))
+        vel, acc = (item.copy() for item in shaping.step(told))
+        assert np.hypot(acc[0, 0], acc[1, 0]) <= 2.5 + 1e-9
+        assert abs(acc[2, 0]) <= 1.0 + 1e-9
+        assert np.hypot(*(acc - before)[:2, 0]) <= 5.0 * STEP_S + 1e-9
+        np.testing.assert_array_equal(
+            (vel[:, 1], acc[:, 1]), (told[:, 1], np.zeros(3))
+        )  # PX4 follows commands as they are
+        before = acc
+    for _ in range(3000):
+        vel, acc = shaping.step(told)
+    np.testing.assert_allclose(vel, told, atol=1e-3)
+    np.testing.assert_allclose(acc, 0.0, atol=1e-3)
 
 
 def test_crazyflie_hardly_moves_within_its_delay_and_follows_like_a_first_order_lag() -> None:

@@ -56,7 +56,7 @@ _DISARMED = re.compile(r"vehicle (\d+): disarmed by itself")
 _SICK = re.compile(
     r"vehicle (\d+): (does not follow its setpoints|its position (?:is [\d.]+ m from|has not changed)|is tilted by"
     r"|its autopilot has started anew|its origin has moved|left for mode|no heartbeat|nothing heard"
-    r"|no position)"
+    r"|no position|flies \d+ degrees)"
 )
 _HIT = re.compile(r"vehicle (\d+): has hit the ground")
 _LINK = re.compile(r"link (\S+): nothing heard of anybody")

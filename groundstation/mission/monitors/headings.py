@@ -1,8 +1,9 @@
 """Vehicles whose own north is wrong: they fly every velocity turned, and report the heading that they believe.
 
-What a vehicle was told, delayed by its lag, is held against how its positions move, both level: the turn that takes one
-to the other is the error of its heading, where it moves enough for that and the turn explains what it does. A wind
-carries, it does not turn: what the wind explains is taken off first.
+What a vehicle was told, delayed by its lag, is held against how its positions move, both level: the turn that takes
+one to the other is the error of its heading, where it moves enough for that and the turn explains what it does. A wind
+carries, it does not turn: what the wind explains is taken off first. On a curve a vehicle that is quicker or slower
+than its lag says looks turned as well: the turn counts only if it is there with less than half and with twice the lag.
 
 Who was found so is told everything turned back by as much, for what keeps vehicles apart counts on what is flown.
 """
@@ -31,6 +32,8 @@ _LEAST_M_S = 0.1
 _COHERENT = 0.85
 """Share of the motion that the turned velocities explain."""
 _SLOW, _FAST = 0.5, 1.6
+_LAGS = (1.0, 0.4, 2.0)
+"""Times its lag that a vehicle may answer with; the first one is what its turn is measured by."""
 REMEDY = "see to its compass, or to how its body is defined in the motion capture (front to the room's x axis)"
 
 
@@ -49,13 +52,13 @@ class Headings:
     def __init__(self, plan: MissionPlan, wind: Wind) -> None:
         n = plan.size
         self._wind = wind
-        self._lag_s: FloatArray = np.array([profile.lag_s for profile in plan.vehicle_profiles])
+        self._lag_s: FloatArray = np.outer(_LAGS, [profile.lag_s for profile in plan.vehicle_profiles])
         self._delay_s: FloatArray = np.array([profile.delay_s for profile in plan.vehicle_profiles])
         self._late: FloatArray = np.zeros((n, 3))
-        self._model: FloatArray = np.zeros((n, 3))
+        self._model: FloatArray = np.zeros((len(_LAGS), n, 3))
         self._told: FloatArray = np.zeros(n)
         self._flown: FloatArray = np.zeros(n)
-        self._both: FloatArray = np.zeros((n, 2))
+        self._both: FloatArray = np.zeros((len(_LAGS), n, 2))
         self._steered_s: FloatArray = np.zeros(n)
         self._since_before = SinceBefore(0)
         self._off, self._other = Lasting(n, _LASTS_S), Lasting(n, _LASTS_S)
@@ -70,31 +73,31 @@ class Headings:
         moves = sight.vel_ned_m_s - sight.vel_error_ned_m_s
         # A delay and a lag: two lags, which is near enough for a direction.
         late = np.minimum(passed_s / np.maximum(self._delay_s, passed_s), 1.0)[:, None] if passed_s > 0.0 else 1.0
-        lags = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[:, None] if passed_s > 0.0 else 1.0
+        lags = np.minimum(passed_s / np.maximum(self._lag_s, passed_s), 1.0)[..., None] if passed_s > 0.0 else 1.0
         self._late = renewed(new, sight.sent_ned_m_s, self._late + late * (sight.sent_ned_m_s - self._late))
         self._model = renewed(new, moves, self._model + lags * (self._late - self._model))
         carried = unexplained(moves - self._model, self._wind.carried_m_s)
-        told, flown = self._model[:, :2], (self._model + carried)[:, :2]
+        told, flown = self._model[..., :2], (self._model + carried)[..., :2]
         share = min(passed_s / _FORGETS_S, 1.0)
         both = np.empty(told.shape)
-        both[:, 0] = np.add.reduce(told * flown, axis=1)
-        both[:, 1] = told[:, 0] * flown[:, 1] - told[:, 1] * flown[:, 0]
-        told_square, flown_square = squares(told), squares(flown)
+        both[..., 0] = np.add.reduce(told * flown, axis=-1)
+        both[..., 1] = told[..., 0] * flown[..., 1] - told[..., 1] * flown[..., 0]
+        told_square, flown_square = squares(told[0]), squares(flown[0])
         unknown = ~np.isfinite(flown_square)
         fresh = any_of(unknown if new is None else new[:, 0] | unknown)
         self._told = renewed(fresh, 0.0, self._told + share * (told_square - self._told))
         self._flown = renewed(fresh, 0.0, self._flown + share * (flown_square - self._flown))
         rows = None if fresh is None else fresh[:, None]
         self._both = renewed(rows, 0.0, self._both + share * (both - self._both))
-        length = np.hypot(self._both[:, 0], self._both[:, 1])
-        clear = self._clear(length)
+        length = np.hypot(self._both[..., 0], self._both[..., 1])
+        clear = self._clear(length[0])
         off = clear & self._turned(length) if some(clear) else clear
         news = self._off(off, sight.now_ns)
         found = clear & (self.turn_rad != 0.0)
         if not some(off | found):
             self._other(found, sight.now_ns)
             return
-        angle_rad = np.arctan2(self._both[:, 1], self._both[:, 0])
+        angle_rad = np.arctan2(self._both[0, :, 1], self._both[0, :, 0])
         # Told everything turned back, a vehicle with a wrong north goes on flying turned by as much. One that does not
         # was never turned, is not any more, or goes its own way, which is for others to find.
         apart_rad = np.abs(np.mod(angle_rad - self.turn_rad + math.pi, 2.0 * math.pi) - math.pi)
@@ -132,5 +135,8 @@ class Headings:
         return np.asarray(moves & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)
 
     def _turned(self, length: FloatArray) -> BoolArray:
-        """Whose motion points more than the limit away from what it was told, shape (n,)."""
-        return np.asarray(self._both[:, 0] < math.cos(_LIMIT_RAD) * length, dtype=np.bool_)
+        """Whose motion points more than the limit away from what it was told, to one side by all lags, shape (n,)."""
+        along, across = self._both[..., 0], self._both[..., 1]
+        far = along < math.cos(_LIMIT_RAD) * length
+        one_side = (across > 0.0).all(axis=0) | (across < 0.0).all(axis=0)
+        return np.asarray(far.all(axis=0) & one_side, dtype=np.bool_)

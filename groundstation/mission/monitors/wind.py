@@ -138,6 +138,6 @@ class Wind:
 
 
 def unexplained(error_m_s: FloatArray, carried_m_s: FloatArray) -> FloatArray:
-    """What is left of errors when the wind explains what it can of them, and nothing besides, shape (n, 3)."""
-    along = np.add.reduce(error_m_s * carried_m_s, axis=1) / np.maximum(squares(carried_m_s), 1e-12)
-    return np.asarray(error_m_s - between(along, 0.0, 1.0)[:, None] * carried_m_s)
+    """What is left of errors when the wind explains what it can of them, and nothing besides, shape (..., n, 3)."""
+    along = np.add.reduce(error_m_s * carried_m_s, axis=-1) / np.maximum(squares(carried_m_s), 1e-12)
+    return np.asarray(error_m_s - between(along, 0.0, 1.0)[..., None] * carried_m_s)

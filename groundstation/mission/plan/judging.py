@@ -42,6 +42,7 @@ from groundstation.mission.plan.profiles import (
     approach_rate_1_s,
     compensated,
     compensated_lag_s,
+    lead_s_for,
     slowest,
 )
 from groundstation.mission.plan.schema import MissionSpec
@@ -130,9 +131,9 @@ def build_plan(
         delay_s=profile.delay_s + spec.link_delay_s + max(waits_s, 0.0),
         position_error_m=position_error_m,
     )
-    lead_s = profile.lag_s if spec.lead_s == "auto" else spec.lead_s
+    lead_s = lead_s_for(spec, profile)
     if positioning == "gps":
-        check_tolerances(source, spec, approach_rate_1_s(profile, lead_s))
+        check_tolerances(source, spec, approach_rate_1_s(profile, profile.lag_s if spec.lead_s == "auto" else lead_s))
     acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
     stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s, source=source)
     moves, places, room_m = plan_moves(
@@ -239,6 +240,7 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
         air = {field.name: figures.pop(field.name) for field in fields(Airframe) if field.name in figures}
         airframe = replace(PROFILES[like].airframe, **air)
         known = replace(PROFILES[like], name=name, airframe=airframe, **figures)
+        known = replace(known, lag_up_s=min(known.lag_up_s, known.lag_s))
         # With another lag or drag it is not the velocity loop that is known.
         same = known.lag_s == PROFILES[like].lag_s and airframe.drag_1_s == PROFILES[like].airframe.drag_1_s
         profiles[name] = known if same else replace(known, response=None)

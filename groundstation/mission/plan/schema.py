@@ -407,6 +407,7 @@ class ProfileSpec(_Strict):
 
     like: str | None = None
     lag_s: Annotated[Number, Field(ge=0, le=10)] | None = None
+    lag_up_s: Annotated[Number, Field(gt=0, le=10)] | None = None
     delay_s: Annotated[Number, Field(ge=0, le=10)] | None = None
     acceleration_max_m_s2: Annotated[Number, Field(gt=0, le=100)] | None = None
     position_error_m: Positive | None = None

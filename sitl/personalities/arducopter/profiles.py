@@ -24,10 +24,11 @@ ARDUCOPTER = Profile(
         ki_xy_per_s2=1.0,  # PSC_VELXY_I; that GUIDED also holds the place it has reckoned is left out
         ki_z_per_s2=0.2,
         drag_feedforward=1.0,
-        filter_s=0.35,
-        filter_feedforward=0.6,
+        shape_accel_xy_m_s2=2.5,  # WPNAV_ACCEL
+        shape_accel_z_m_s2=1.0,  # WPNAV_ACCEL_Z
+        shape_jerk_m_s3=5.0,  # PSC_JERK_XY, PSC_JERK_Z
         accel_max_m_s2=5.6,  # ANGLE_MAX of 30 degrees
-        dead_time_s=0.06,
+        dead_time_s=0.08,
         attitude_rad_s=14.0,
         tilt_rate_max_rad_s=3.5,
         tilt_max_rad=math.radians(30.0),
@@ -42,4 +43,5 @@ ARDUCOPTER = Profile(
         land_contact_s=1.5,
     ),
 )
-"""A 1.5 kg quadrotor under ArduCopter: 2 m/s step seen as 1.45 m/s at 1 s, 1.94 at 2 s, 2.0 at 3 s."""
+"""A 1.5 kg quadrotor under ArduCopter: 2 m/s step seen as 1.45 m/s at 1 s, 1.94 at 2 s, 2.0 at 3 s. Changes of less
+than 1.25 m/s come as one lag of 0.5 s (acceleration over jerk), upward of 0.2 s."""
