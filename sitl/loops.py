@@ -144,7 +144,8 @@ class Shaping:
         """Length of the level part in the first two rows, of the upward part in the third, shape (3, n), > 0."""
         out = np.abs(vectors)
         out[1] = out[0] = np.hypot(vectors[0], vectors[1])
-        return np.maximum(out, _TINY, out=out)
+        np.maximum(out, _TINY, out=out)
+        return out
 
 
 class VelocityLoop:
