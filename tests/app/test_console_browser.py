@@ -185,11 +185,15 @@ def points_come_and_go(solid: Tab) -> None:
     solid.shows("gains", "gains fit this shape")  # it is what it was
     field = solid.page.get_by_test_id
     expect(field("edges")).to_have_text("1 edges: 1-2")
-    for point in (1, 2):
-        solid.page.mouse.click(*seen_at(solid, point))
+    picked = solid.page.get_by_role("button", name="remove point")
+    solid.page.mouse.click(*seen_at(solid, 1))
+    expect(picked).to_be_enabled()
+    solid.page.mouse.click(*seen_at(solid, 2))
     expect(field("edges")).to_have_text("0 edges: ")
-    for point in (2, 1):
-        solid.page.mouse.click(*seen_at(solid, point))
+    expect(picked).to_be_disabled()
+    solid.page.mouse.click(*seen_at(solid, 2))
+    expect(picked).to_be_enabled()
+    solid.page.mouse.click(*seen_at(solid, 1))
     expect(field("edges")).to_have_text("1 edges: 1-2")
     solid.shows("gains", "gains fit this shape")
     x, y = seen_at(solid, 2)
@@ -208,8 +212,10 @@ def seen_at(solid: Tab, point: int) -> tuple[float, float]:
     """Where on the page a point of first_flight2 is, once all is drawn and the camera stands still."""
     place = f"""(() => {{
       const scene = {_EDITOR}, box = document.querySelector("canvas").getBoundingClientRect();
-      const mesh = [...scene.objects.values()].map(item => item.mesh).find(mesh => mesh?.name === "{point - 1}");
-      if (mesh?.position.x !== {point - 1} || !scene.camera_tween || scene.camera_tween.isPlaying()) return null;
+      const points = [...scene.objects.values()].map(item => item.mesh).filter(mesh => mesh?.name);
+      const mesh = points.find(mesh => mesh.name === "{point - 1}");
+      if (points.length !== 2 || mesh?.position.x !== {point - 1}) return null;
+      if (!scene.camera_tween || scene.camera_tween.isPlaying()) return null;
       const seen = mesh.position.clone().project(scene.camera);
       return [box.left + (1 + seen.x) / 2 * box.width, box.top + (1 - seen.y) / 2 * box.height];
     }})()"""
