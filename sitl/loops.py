@@ -51,7 +51,7 @@ class Reference:
         self._delay_same = int(delay[0]) if (delay == delay[0]).all() else None
         self._length = int(delay.max()) + 1
         self._queue = np.zeros((self._length, 3, n))
-        shaped = column(profiles, "loops.shape_accel_xy_m_s2") > 0.0
+        shaped = column(profiles, "loops.shape.accel_xy_m_s2") > 0.0
         self._shaping = Shaping(profiles, step_s) if shaped.any() else None
 
     def step(self, k: int, commands: Commands, pos_enu_m: Array, pos_error_m: Array) -> tuple[Array, Array | None]:
@@ -103,12 +103,12 @@ class Shaping:
     """
 
     def __init__(self, profiles: Sequence[Profile], step_s: float) -> None:
-        level, up = "loops.shape_accel_xy_m_s2", "loops.shape_accel_z_m_s2"
+        level, up = "loops.shape.accel_xy_m_s2", "loops.shape.accel_z_m_s2"
         accel = columns(profiles, level, level, up)
         self._as_is: NDArray[np.bool_] = accel <= 0.0
         self._some_as_is = bool(self._as_is.any())
         self._accel = np.where(self._as_is, 1.0, accel)
-        jerk = np.where(self._as_is, 1.0, spread(profiles, "loops.shape_jerk_m_s3"))
+        jerk = np.where(self._as_is, 1.0, spread(profiles, "loops.shape.jerk_m_s3"))
         self._twice_jerk, self._jerk_dt, self._dt = 2.0 * jerk, jerk * step_s, np.array(step_s)
         self._per_s = jerk / self._accel
         self._little = jerk / self._per_s**2

@@ -97,6 +97,7 @@ class Health:
 
     def __init__(self, n: int) -> None:
         self.thrust_share = np.ones(n)
+        self.thrust_share.flags.writeable = False
         self.sound = True
         self.tumbling: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self.tumbling.flags.writeable = False
@@ -105,7 +106,9 @@ class Health:
     def power(self, index: int, share: float) -> None:
         """Sets what the motors of a vehicle can give."""
         if self.thrust_share[index] != share:
+            self.thrust_share = self.thrust_share.copy()
             self.thrust_share[index] = share
+            self.thrust_share.flags.writeable = False
             self.sound = bool((self.thrust_share == 1.0).all())
 
     def tumble(self, index: int, tumbles: bool) -> None:

@@ -41,6 +41,20 @@ class Airframe:
 
 
 @dataclass(frozen=True)
+class CommandShape:
+    """Limits of shaped velocity commands.
+
+    Attributes:
+        accel_xy_m_s2, accel_z_m_s2: largest acceleration; 0 for commands as they are.
+        jerk_m_s3: largest jerk.
+    """
+
+    accel_xy_m_s2: float = 0.0
+    accel_z_m_s2: float = 0.0
+    jerk_m_s3: float = 0.0
+
+
+@dataclass(frozen=True)
 class LoopGains:
     """How its inner loops are set.
 
@@ -52,8 +66,7 @@ class LoopGains:
         kp_xy_per_s, kp_z_per_s: proportional gain, acceleration per velocity error.
         ki_xy_per_s2, ki_z_per_s2: integral gain.
         drag_feedforward: share of the drag that the controller compensates beforehand, 0 to 1.
-        shape_accel_xy_m_s2, shape_accel_z_m_s2: largest acceleration of shaped commands; 0 for commands as they are.
-        shape_jerk_m_s3: largest jerk of shaped commands.
+        shape: how commands are shaped before the loop sees them.
         accel_max_m_s2: limit of the horizontal acceleration that the velocity loop asks for.
         dead_time_s: delay between a command and its first effect.
         attitude_rad_s: natural frequency of the (critically damped) attitude loop.
@@ -69,9 +82,7 @@ class LoopGains:
     ki_xy_per_s2: float
     ki_z_per_s2: float
     drag_feedforward: float
-    shape_accel_xy_m_s2: float
-    shape_accel_z_m_s2: float
-    shape_jerk_m_s3: float
+    shape: CommandShape
     accel_max_m_s2: float
     dead_time_s: float
     attitude_rad_s: float

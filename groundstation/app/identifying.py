@@ -7,21 +7,27 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.core.identify import Response
+from groundstation.core.velocity_loop import VelocityLoop
 from groundstation.records.manifest import manifest_beside
 
 DIRECTIONS = ("east", "north", "up")
+UP_SHARE = 0.8
+"""Share of the lag below which the one upward is worth a figure of its own."""
 DELAY_SHARE_MAX = 0.4
 """Share of t63 from which on a delay is worth a word: profiles that come along have a fifth at most."""
 
 
 def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
-    """One line for each profile that the vehicles fly under: the figures of the slowest vehicle."""
+    """One line for each profile that is flown: the slowest vehicle's figures, and the quickest one's upward."""
     lines = []
     for name in dict.fromkeys(vehicle["profile"] for vehicle in vehicles if vehicle["profile"]):
         found = [item for item in vehicles if item["profile"] == name and item["lag_s"] is not None]
         if found:
             slowest = max(found, key=lambda item: item["t63_s"])
-            lines.append(f"{name}: {{lag_s: {slowest['lag_s']:.2f}, delay_s: {slowest['delay_s']:.2f}}}")
+            ups = [item["axes"]["up"] for item in found]
+            up_s = min((up["lag_s"] for up in ups if not up["problem"]), default=math.inf)
+            quicker = f", lag_up_s: {max(up_s, 0.01):.2f}" if up_s < UP_SHARE * slowest["lag_s"] else ""
+            lines.append(f"{name}: {{lag_s: {slowest['lag_s']:.2f}{quicker}, delay_s: {slowest['delay_s']:.2f}}}")
     return lines
 
 
@@ -81,3 +87,33 @@ def cells(found: Response) -> list[str]:
         f"{found.gain:.2f}",
         f"{found.explained:.0%}",
     ]
+
+
+def loop_words(vehicle: int, direction: str, loop: VelocityLoop) -> str:
+    """What the second order tells of one direction; empty where one lag does as well, or nothing is known."""
+    if loop.problem or not loop.needed:
+        return ""
+    there_s = loop.reached_s(0.95)
+    late = f"95 % after {there_s:.1f} s" if math.isfinite(there_s) else "95 % not within 8 s"
+    over = f", {loop.overshoot:.0%} beyond it" if loop.overshoot > 0.02 else ""
+    return (
+        f"vehicle {vehicle}, {direction}: one lag leaves {1.0 - loop.one_lag_explained:.1%} of the motion unexplained,"
+        f" the second order {1.0 - loop.explained:.1%}: p {loop.p_1_s:.2f} 1/s, i {loop.i_1_s2:.2f} 1/s²,"
+        f" drag {loop.drag_1_s:.2f} 1/s, {loop.delay_s:.2f} s late;"
+        f" a step is 63 % there after {loop.reached_s():.2f} s, {late}{over}"
+    )
+
+
+def loop_values(loop: VelocityLoop) -> dict[str, float | bool | str]:
+    """The second order of one direction in the JSON answer."""
+    return {
+        "p_1_s": loop.p_1_s,
+        "i_1_s2": loop.i_1_s2,
+        "drag_1_s": loop.drag_1_s,
+        "delay_s": loop.delay_s,
+        "explained": loop.explained,
+        "one_lag_explained": loop.one_lag_explained,
+        "step_error": loop.error,
+        "needed": loop.needed,
+        "problem": loop.problem,
+    }

@@ -23,13 +23,13 @@ from groundstation.core.types import FloatArray
 STEP_S = 0.01
 _TAUS_S = np.geomspace(0.05, 5.0, 11)
 _DELAYS_S = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6])
-_DELAY_MAX_S = 1.0
-_ASKED_MIN_M_S = 0.05  # standard deviation of what was asked for; with less nothing moves
+DELAY_MAX_S = 1.0
+ASKED_MIN_M_S = 0.05  # standard deviation of what was asked for; with less nothing moves
 _EXPLAINED_MIN = 0.6
 _SHARE = 1.0 - math.exp(-1.0)
 _SOON_S = 3.0
 _UNSURE_MAX = 0.15  # standard error of the time to 63 %, as a share of it
-_LONG_MIN_S = 5.0
+LONG_MIN_S = 5.0
 _BLOCK_S = 2.0
 _NUDGE = 0.02
 
@@ -70,17 +70,17 @@ def identify(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray]) ->
     Returns:
         The response, or the reason why there is none.
     """
-    if len(asked_m_s[0]) * STEP_S < _LONG_MIN_S:
-        return Response(problem=f"{len(asked_m_s[0]) * STEP_S:.1f} s of flight by setpoints, {_LONG_MIN_S:g} s needed")
+    if len(asked_m_s[0]) * STEP_S < LONG_MIN_S:
+        return Response(problem=f"{len(asked_m_s[0]) * STEP_S:.1f} s of flight by setpoints, {LONG_MIN_S:g} s needed")
     spread = float(np.sqrt(np.mean([np.var(asked) for asked in asked_m_s])))
-    if spread < _ASKED_MIN_M_S:
+    if spread < ASKED_MIN_M_S:
         return Response(
-            problem=f"setpoints vary by {spread:.3f} m/s only, {_ASKED_MIN_M_S:g} m/s needed: fly something that moves"
+            problem=f"setpoints vary by {spread:.3f} m/s only, {ASKED_MIN_M_S:g} m/s needed: fly something that moves"
         )
     coarse = min(_DELAYS_S.tolist(), key=lambda delay: float(np.sum(_fitted(asked_m_s, done_m_s, delay)[1] ** 2)))
     found = minimize_scalar(
         lambda delay: float(np.sum(_fitted(asked_m_s, done_m_s, delay)[1] ** 2)),
-        bounds=(max(coarse - 0.15, 0.0), min(coarse + 0.15, _DELAY_MAX_S)),
+        bounds=(max(coarse - 0.15, 0.0), min(coarse + 0.15, DELAY_MAX_S)),
         method="bounded",
         options={"xatol": 2e-3},
     )
@@ -160,13 +160,27 @@ def _missed(
 
 
 def _standard_error(jacobian: FloatArray, residual: FloatArray) -> float:
-    """Standard error of the parameters' sum, by blocks: what the model misses lasts, it is no noise."""
-    block = round(_BLOCK_S / STEP_S)
+    """Standard error of the parameters' sum."""
+    return math.sqrt(max(float(block_covariance(jacobian, residual).sum()), 0.0))
+
+
+def block_covariance(jacobian: FloatArray, residual: FloatArray, step_s: float = STEP_S) -> FloatArray:
+    """Covariance of fitted parameters, shape (k, k), by blocks of 2 s: what a model misses lasts, it is no noise.
+
+    Args:
+        jacobian: of what is missed, shape (t, k).
+        residual: what is missed every step, shape (t,).
+        step_s: that step.
+
+    Returns:
+        Infinite where the record does not tell them apart.
+    """
+    block = round(_BLOCK_S / step_s)
     starts = range(0, len(residual), block)
     scores = np.array([jacobian[k : k + block].T @ residual[k : k + block] for k in starts])
     try:
         inverse = np.linalg.inv(jacobian.T @ jacobian)
     except np.linalg.LinAlgError:
-        return math.inf
-    covariance = inverse @ (scores.T @ scores) @ inverse
-    return math.sqrt(max(float(covariance.sum()), 0.0))
+        return np.full((jacobian.shape[1], jacobian.shape[1]), math.inf)
+    covariance: FloatArray = inverse @ (scores.T @ scores) @ inverse
+    return covariance

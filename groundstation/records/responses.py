@@ -1,12 +1,14 @@
 """Setpoints and velocities of each vehicle out of a log, side by side on one grid of times.
 
-Velocities are dated by the vehicle's own clock, shifted so that the quickest message arrives at once: jitter of the
-link drops out, and the delay that is left is the whole loop's, both ways of the link included.
+Velocities are dated by the vehicle's own clock, shifted so that the quickest messages arrive at once, and stretched
+where it runs at another rate than ours (PX4's simulator: 0.985): jitter of the link drops out, and the delay that is
+left is the whole loop's, both ways of the link included.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,8 @@ from groundstation.records.tracks import Setpoints
 
 _STEERED = frozenset(phase.value for phase in STEERED_PHASES)
 _GAP_NS = 400_000_000  # longer ones between two reports leave the velocity unknown
+_RATE_OVER_S = 10.0
+_RATE_MIN, _RATE_MAX = 0.002, 0.03  # less is jitter of the ends, more is no clock
 _PAUSE_NS = 1_000_000_000  # without setpoints for that long the vehicle does not follow them
 
 
@@ -84,7 +88,7 @@ def load_motions(path: Path, step_s: float) -> list[Motion]:
         if told.sum() < 2 or len(said.t_ns) < 2:
             continue
         north, east, down = said.vel_ned_m_s.T
-        done = _measured_ns(said.t_ns, said.boot_ms), np.stack([east, north, -down], axis=-1)
+        done = measured_ns(said.t_ns, said.boot_ms), np.stack([east, north, -down], axis=-1)
         motions.append(_on_grid(own_id, (set_t[told], set_vel[told]), done, step_s))
     return sorted(motions, key=lambda motion: motion.id)
 
@@ -98,11 +102,42 @@ def _steered(phases: list[tuple[int, str]], first_ns: int, last_ns: int) -> tupl
     return starts[0], min(ends, default=last_ns)
 
 
-def _measured_ns(t_rx_ns: IntArray, boot_ms: IntArray) -> IntArray:
+def measured_ns(t_rx_ns: IntArray, boot_ms: IntArray) -> IntArray:
+    """When messages were measured, by our clock, shape (t,): the highest line below what their clock is behind ours.
+
+    Args:
+        t_rx_ns: when they were received, shape (t,).
+        boot_ms: their own time, shape (t,).
+    """
     if not (np.diff(boot_ms) >= 0).all() or not boot_ms[0]:
         return t_rx_ns  # no clock, or one that has jumped
     boot_ns = boot_ms * 1_000_000 + 500_000
-    return np.asarray(boot_ns + (t_rx_ns - boot_ns).min())
+    behind_ns = t_rx_ns - boot_ns
+    since_s = (boot_ns - boot_ns[0]) / 1e9
+    rate = _rate(since_s, behind_ns / 1e9) if since_s[-1] > _RATE_OVER_S else 0.0
+    if not _RATE_MIN <= abs(rate) <= _RATE_MAX:
+        return np.asarray(boot_ns + behind_ns.min())
+    drift_ns = np.rint(rate * since_s * 1e9).astype(np.int64)
+    return np.asarray(boot_ns + drift_ns + (behind_ns - drift_ns).min())
+
+
+def _rate(times_s: FloatArray, behind_s: FloatArray) -> float:
+    """Slope of the lower hull of points where it passes under their middle: what is above it is delay."""
+    hull: list[tuple[float, float]] = []
+    for x, y in zip(times_s.tolist(), behind_s.tolist(), strict=True):
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                break
+            hull.pop()
+        if hull and x == hull[-1][0]:
+            continue
+        hull.append((x, y))
+    middle_s = float(times_s.mean())
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        if x0 <= middle_s <= x1:
+            return (y1 - y0) / (x1 - x0)
+    return 0.0
 
 
 def _on_grid(

@@ -61,9 +61,10 @@ def test_profiles_are_found_in_their_flights(
     t63_s: float,
     tolerance_s: float,
 ) -> None:
-    log = _flown(tmp_path, profile, "arducopter" if profile == "arducopter" else "px4")
-    code, out, _ = gs(["identify", str(log), "--json"], monkeypatch, capsys)
+    log, picture = _flown(tmp_path, profile, "arducopter" if profile == "arducopter" else "px4"), tmp_path / "it.png"
+    code, out, _ = gs(["identify", str(log), "--json", "--picture", str(picture)], monkeypatch, capsys)
     assert code == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
     values = json.loads(out.splitlines()[-1])
     assert values["identified"] >= 3
     for vehicle in values["vehicles"]:
@@ -72,6 +73,14 @@ def test_profiles_are_found_in_their_flights(
             assert vehicle["profile"] == profile
     (line,) = values["profiles"]
     assert line.startswith(f"{profile}: {{lag_s: ")
+    known = [item["second_order"]["horizontal"] for item in values["vehicles"]]
+    known = [item for item in known if not item["problem"]]
+    assert known
+    if profile == "px4_quad":  # the emulator's own gains: 1.8, 0.5, and a drag of 1.35 1/s
+        assert all(item["needed"] and item["explained"] > 0.98 > item["one_lag_explained"] + 0.02 for item in known)
+        assert [item["p_1_s"] for item in known] == pytest.approx([1.8] * len(known), rel=0.4)
+    if profile == "crazyflie":
+        assert not any(item["needed"] for item in known)
 
 
 def test_a_log_in_which_nothing_moves_is_refused_with_the_reason(

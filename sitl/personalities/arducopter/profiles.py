@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sitl.profiles import Airframe, LoopGains, Manners, Profile
+from sitl.profiles import Airframe, CommandShape, LoopGains, Manners, Profile
 
 ARDUCOPTER = Profile(
     name="arducopter",
@@ -24,9 +24,8 @@ ARDUCOPTER = Profile(
         ki_xy_per_s2=1.0,  # PSC_VELXY_I; that GUIDED also holds the place it has reckoned is left out
         ki_z_per_s2=0.2,
         drag_feedforward=1.0,
-        shape_accel_xy_m_s2=2.5,  # WPNAV_ACCEL
-        shape_accel_z_m_s2=1.0,  # WPNAV_ACCEL_Z
-        shape_jerk_m_s3=5.0,  # PSC_JERK_XY, PSC_JERK_Z
+        # WPNAV_ACCEL, WPNAV_ACCEL_Z, PSC_JERK_XY and PSC_JERK_Z
+        shape=CommandShape(accel_xy_m_s2=2.5, accel_z_m_s2=1.0, jerk_m_s3=5.0),
         accel_max_m_s2=5.6,  # ANGLE_MAX of 30 degrees
         dead_time_s=0.08,
         attitude_rad_s=14.0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sitl.profiles import Airframe, LoopGains, Manners, Profile
+from sitl.profiles import Airframe, CommandShape, LoopGains, Manners, Profile
 
 CRAZYFLIE = Profile(
     name="crazyflie",
@@ -24,9 +24,7 @@ CRAZYFLIE = Profile(
         ki_xy_per_s2=0.2,
         ki_z_per_s2=0.2,
         drag_feedforward=1.0,
-        shape_accel_xy_m_s2=0.0,
-        shape_accel_z_m_s2=0.0,
-        shape_jerk_m_s3=0.0,
+        shape=CommandShape(),
         accel_max_m_s2=6.0,
         dead_time_s=0.02,
         attitude_rad_s=50.0,

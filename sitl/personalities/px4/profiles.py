@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from sitl.estimator import GPS
-from sitl.profiles import Airframe, LoopGains, Manners, Profile
+from sitl.profiles import Airframe, CommandShape, LoopGains, Manners, Profile
 
 PX4_QUAD = Profile(
     name="px4_quad",
@@ -26,9 +26,7 @@ PX4_QUAD = Profile(
         ki_xy_per_s2=0.5,  # MPC_XY_VEL_I_ACC is 0.4; the measured creep from 1.5 to 1.7 m/s asks for a little more
         ki_z_per_s2=2.0,  # MPC_Z_VEL_I_ACC
         drag_feedforward=0.0,
-        shape_accel_xy_m_s2=0.0,
-        shape_accel_z_m_s2=0.0,
-        shape_jerk_m_s3=0.0,
+        shape=CommandShape(),
         accel_max_m_s2=9.8,  # the tilt is the limit; MPC_ACC_HOR_MAX (5) is one of planned ways, not of setpoints
         dead_time_s=0.02,
         attitude_rad_s=18.0,
