@@ -27,8 +27,10 @@ _NEW_IN_AIR_S = 1.0
 _LIMIT_RAD = math.radians(45.0)
 _LASTS_S = 0.2
 _APART_RAD = math.radians(40.0)
-_LEAST_M_S = 0.1
-"""Root mean square of what was told over the memory: below that a turn is not told from noise."""
+_LEAST_M_S, _LEAST_BY_GPS_M_S = 0.1, 0.3
+"""Root mean square of what was told over the memory, level: below that a turn is not told from noise."""
+_LEVEL_SHARE = 0.3
+"""Of what was told at all: who climbs steeply is blown and tilted aside by as much as it goes aside."""
 _COHERENT = 0.85
 """Share of the motion that the turned velocities explain."""
 _SLOW, _FAST = 0.5, 1.6
@@ -56,7 +58,9 @@ class Headings:
         self._delay_s: FloatArray = np.array([profile.delay_s for profile in plan.vehicle_profiles])
         self._late: FloatArray = np.zeros((n, 3))
         self._model: FloatArray = np.zeros((len(_LAGS), n, 3))
+        self._least_m_s = _LEAST_BY_GPS_M_S if plan.positioning == "gps" else _LEAST_M_S
         self._told: FloatArray = np.zeros(n)
+        self._told_at_all: FloatArray = np.zeros(n)
         self._flown: FloatArray = np.zeros(n)
         self._both: FloatArray = np.zeros((len(_LAGS), n, 2))
         self._steered_s: FloatArray = np.zeros(n)
@@ -86,6 +90,8 @@ class Headings:
         unknown = ~np.isfinite(flown_square)
         fresh = any_of(unknown if new is None else new[:, 0] | unknown)
         self._told = renewed(fresh, 0.0, self._told + share * (told_square - self._told))
+        at_all = squares(self._model[0])
+        self._told_at_all = renewed(fresh, 0.0, self._told_at_all + share * (at_all - self._told_at_all))
         self._flown = renewed(fresh, 0.0, self._flown + share * (flown_square - self._flown))
         rows = None if fresh is None else fresh[:, None]
         self._both = renewed(rows, 0.0, self._both + share * (both - self._both))
@@ -129,7 +135,7 @@ class Headings:
 
     def _clear(self, length: FloatArray) -> BoolArray:
         """Whose motion is what it was told, turned by some angle, shape (n,)."""
-        moves = self._told > _LEAST_M_S**2
+        moves = (self._told > self._least_m_s**2) & (self._told > _LEVEL_SHARE**2 * self._told_at_all)
         gain = length / np.maximum(self._told, 1e-9)
         explained = length**2 / np.maximum(self._told * self._flown, 1e-12)
         return np.asarray(moves & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)
