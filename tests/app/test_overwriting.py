@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import lzma
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from groundstation.app.resources import packaged_configs
 from tests.app.commands import gs
 from tests.app.test_record_commands import CSV
+from tests.reference import FOLDER
 
 FOREIGN = b"<!doctype html><title>my thesis</title>"
 FLY = ["fly", "--mission", "first_flight2.yaml", "--dry-run", "--set", "limits.preflight_s=0.2", "--json"]
@@ -118,6 +120,7 @@ _WRITERS = {
     "new": ("yaml", ["new", "formation", "line", "-n", "3"], "-o"),
     "new law": ("py", ["new", "law", "x"], "-o"),
     "import": ("tlog", ["import", "crazyswarm", "recorded"], "-o"),
+    "identify": ("png", ["identify", "flown.tlog"], "--picture"),
 }
 """Commands that write one file: its suffix, what is typed, the option that names it."""
 _MADE_NEW = ("design graph", "new", "new law")
@@ -134,6 +137,10 @@ def test_every_command_that_writes_a_file_keeps_the_one_rule(
         Path("recorded").mkdir()
         for part, text in CSV.items():
             Path("recorded", part).write_text(text)
+    if name == "identify":
+        flown = FOLDER / "completed"
+        Path("flown.tlog").write_bytes(lzma.decompress(flown.with_suffix(".tlog.xz").read_bytes()))
+        Path("flown.manifest.json").write_bytes(flown.with_suffix(".manifest.json").read_bytes())
     file = Path(f"made.{'tlog' if suffix == 'log' else suffix}")
     line = [*typed, option, str(file)]
     assert gs(line, monkeypatch, capsys)[0] in (0, 3)
@@ -169,7 +176,8 @@ def test_every_command_that_writes_takes_force() -> None:
         if "--force" in options:
             forced.add(name)
     # `gs init` names a folder and no option; `gs signing new` makes a key, which nothing may replace.
-    assert forced == {"fly", "design", "new", "init", "params", "import", "report", "compare", "campaign", "export"}
+    asked = "fly design new init params import report compare campaign export identify"
+    assert forced == set(asked.split())
 
 
 def test_a_folder_of_ones_own_is_written_into_with_force_only(

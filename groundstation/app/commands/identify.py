@@ -48,10 +48,10 @@ def identify(
 
     out = Output(as_json=as_json)
     log = find_log(log)
-    replaces = ""
     if picture is not None:
         ours, other = partial(drawn_by_gs, picture), "another file with --picture"
-        replaces = "replaced: " if claim(picture, "the picture", other, ours=ours, force=force) else ""
+        if claim(picture, "the picture", other, ours=ours, force=force):
+            out.console.print(Text(f"replaces {picture}"))
     motions = load_motions(log, STEP_S)
     if not motions:
         for line in read_tlog(log).survey().words():
@@ -100,7 +100,7 @@ def identify(
         from groundstation.app.response_picture import draw_responses
 
         draw_responses(picture, most, loops[most.id])
-        out.console.print(Text(f"{replaces}picture of vehicle {most.id}: {picture}"))
+        out.console.print(Text(f"picture of vehicle {most.id}: {picture}"))
     known = [vehicle for vehicle in vehicles if vehicle["lag_s"] is not None]
     out.result({"log": str(log), "vehicles": vehicles, "identified": len(known), "profiles": lines, "note": note})
     if not known:
