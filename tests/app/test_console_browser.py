@@ -209,13 +209,19 @@ def points_come_and_go(solid: Tab) -> None:
 
 
 def seen_at(solid: Tab, point: int) -> tuple[float, float]:
-    """Where on the page a point of first_flight2 is, once all is drawn and the camera stands still."""
+    """Where on the page a point of first_flight2 is, once all is there and the camera stands still.
+
+    What the next picture would be drawn by is worked out at once: a slow renderer is a picture behind, and a click on
+    what is not drawn yet hits nothing.
+    """
     place = f"""(() => {{
       const scene = {_EDITOR}, box = document.querySelector("canvas").getBoundingClientRect();
       const points = [...scene.objects.values()].map(item => item.mesh).filter(mesh => mesh?.name);
       const mesh = points.find(mesh => mesh.name === "{point - 1}");
       if (points.length !== 2 || mesh?.position.x !== {point - 1}) return null;
       if (!scene.camera_tween || scene.camera_tween.isPlaying()) return null;
+      scene.camera.updateMatrixWorld();
+      mesh.updateWorldMatrix(true, false);
       const seen = mesh.position.clone().project(scene.camera);
       return [box.left + (1 + seen.x) / 2 * box.width, box.top + (1 - seen.y) / 2 * box.height];
     }})()"""
