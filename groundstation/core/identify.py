@@ -24,12 +24,12 @@ STEP_S = 0.01
 _TAUS_S = np.geomspace(0.05, 5.0, 11)
 _DELAYS_S = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6])
 DELAY_MAX_S = 1.0
-ASKED_MIN_M_S = 0.05  # standard deviation of what was asked for; with less nothing moves
+_ASKED_MIN_M_S = 0.05  # standard deviation of what was asked for; with less nothing moves
 _EXPLAINED_MIN = 0.6
-_SHARE = 1.0 - math.exp(-1.0)
+SHARE_63 = 1.0 - math.exp(-1.0)
 _SOON_S = 3.0
 _UNSURE_MAX = 0.15  # standard error of the time to 63 %, as a share of it
-LONG_MIN_S = 5.0
+_LONG_MIN_S = 5.0
 _BLOCK_S = 2.0
 _NUDGE = 0.02
 
@@ -70,13 +70,8 @@ def identify(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray]) ->
     Returns:
         The response, or the reason why there is none.
     """
-    if len(asked_m_s[0]) * STEP_S < LONG_MIN_S:
-        return Response(problem=f"{len(asked_m_s[0]) * STEP_S:.1f} s of flight by setpoints, {LONG_MIN_S:g} s needed")
-    spread = float(np.sqrt(np.mean([np.var(asked) for asked in asked_m_s])))
-    if spread < ASKED_MIN_M_S:
-        return Response(
-            problem=f"setpoints vary by {spread:.3f} m/s only, {ASKED_MIN_M_S:g} m/s needed: fly something that moves"
-        )
+    if problem := tells_nothing(asked_m_s, done_m_s):
+        return Response(problem=problem)
     coarse = min(_DELAYS_S.tolist(), key=lambda delay: float(np.sum(_fitted(asked_m_s, done_m_s, delay)[1] ** 2)))
     found = minimize_scalar(
         lambda delay: float(np.sum(_fitted(asked_m_s, done_m_s, delay)[1] ** 2)),
@@ -92,10 +87,10 @@ def identify(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray]) ->
     if explained < _EXPLAINED_MIN:
         problem = f"lag and delay explain {explained:.0%} of the motion only, {_EXPLAINED_MIN:.0%} needed"
         return Response(gain=gain, explained=explained, problem=problem)
-    if gain <= _SHARE:
-        problem = f"reaches {gain:.0%} of what it is told within {_SOON_S:g} s, more than {_SHARE:.0%} needed"
+    if gain <= SHARE_63:
+        problem = f"reaches {gain:.0%} of what it is told within {_SOON_S:g} s, more than {SHARE_63:.0%} needed"
         return Response(gain=gain, explained=explained, problem=problem)
-    lag = float(brentq(lambda t: _step(weights, t) - _SHARE, 0.0, _SOON_S))
+    lag = float(brentq(lambda t: _step(weights, t) - SHARE_63, 0.0, _SOON_S))
     slower = _missed(asked_m_s, done_m_s, weights, _TAUS_S * (1.0 + _NUDGE), delay)
     later = _missed(asked_m_s, done_m_s, weights, _TAUS_S, delay + _NUDGE)
     jacobian = np.stack([(slower - residual) / (_NUDGE * lag), (later - residual) / _NUDGE], axis=1)
@@ -106,6 +101,19 @@ def identify(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray]) ->
         )
         return Response(error_s=error, gain=gain, explained=explained, problem=problem)
     return Response(lag, delay, error, gain, explained)
+
+
+def tells_nothing(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray]) -> str:
+    """Why a record, as ``identify`` takes it, tells of no model whatever; "" where it may tell of one."""
+    flown_s = len(asked_m_s[0]) * STEP_S
+    if flown_s < _LONG_MIN_S:
+        return f"{flown_s:.1f} s of flight by setpoints, {_LONG_MIN_S:g} s needed"
+    if not all(np.isfinite(done).any() for done in done_m_s):
+        return "no velocity is known at any time, its reports come too seldom: have it sent more often"
+    spread = float(np.sqrt(np.mean([np.var(asked) for asked in asked_m_s])))
+    if spread < _ASKED_MIN_M_S:
+        return f"setpoints vary by {spread:.3f} m/s only, {_ASKED_MIN_M_S:g} m/s needed: fly something that moves"
+    return ""
 
 
 def _step(weights: FloatArray, t_s: float) -> float:

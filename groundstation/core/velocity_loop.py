@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from groundstation.core.identify import ASKED_MIN_M_S, DELAY_MAX_S, LONG_MIN_S, STEP_S, block_covariance
+from groundstation.core.identify import DELAY_MAX_S, SHARE_63, STEP_S, block_covariance, tells_nothing
 from groundstation.core.types import FloatArray
 
 FIT_EVERY = 2
@@ -34,7 +34,6 @@ _LEFT_MAX = 0.75
 _SEEN_S = 8.0
 _ERROR_WITHIN_S = 3.0
 _NUDGE = 1e-4
-_SHARE = 1.0 - math.exp(-1.0)
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class VelocityLoop:
         """The same of one lag and a delay."""
         return _lag_answer(asked_m_s, start_m_s, self.lag_s, self.lag_delay_s)
 
-    def reached_s(self, share: float = _SHARE) -> float:
+    def reached_s(self, share: float = SHARE_63) -> float:
         """When that share of a step is first reached; infinite if not within eight seconds."""
         there = np.flatnonzero(self.step() >= share)
         return float(there[0]) * FIT_STEP_S if len(there) else math.inf
@@ -99,10 +98,8 @@ def identify_loop(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray
         asked_m_s: velocity setpoints, one array per axis, every ``STEP_S``.
         done_m_s: velocities at the same times; NaN where there is none.
     """
-    if max(len(asked) for asked in asked_m_s) * STEP_S < LONG_MIN_S:
-        return VelocityLoop(problem=f"less than {LONG_MIN_S:g} s of flight by setpoints")
-    if float(np.sqrt(np.mean([np.var(asked) for asked in asked_m_s]))) < ASKED_MIN_M_S:
-        return VelocityLoop(problem=f"setpoints vary by less than {ASKED_MIN_M_S:g} m/s")
+    if problem := tells_nothing(asked_m_s, done_m_s):
+        return VelocityLoop(problem=problem)
     asked_m_s, done_m_s = [asked[::FIT_EVERY] for asked in asked_m_s], [done[::FIT_EVERY] for done in done_m_s]
     seen = np.concatenate([done[np.isfinite(done)] - np.nanmean(done) for done in done_m_s])
     motion = max(float(seen @ seen), 1e-12)
@@ -126,7 +123,7 @@ def identify_loop(asked_m_s: Sequence[FloatArray], done_m_s: Sequence[FloatArray
     found = VelocityLoop(
         p, i, drag, float(x[3]), 1.0 - left / motion, 1.0 - lag_left / motion, math.exp(y[0]), float(y[1]), error
     )
-    return VelocityLoop(**{**vars(found), "problem": _problem(found)})
+    return replace(found, problem=_problem(found))
 
 
 def _problem(found: VelocityLoop) -> str:
@@ -178,9 +175,8 @@ def _missed(
     out = []
     for asked, done in zip(asked_m_s, done_m_s, strict=True):
         known = np.isfinite(done)
-        if known.any():
-            off = (done - model(x, asked, float(done[known][0])))[known]
-            out.append(off - off.mean())
+        off = (done - model(x, asked, float(done[known][0])))[known]
+        out.append(off - off.mean())
     return np.concatenate(out)
 
 

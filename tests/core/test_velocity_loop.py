@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from groundstation.core.identify import STEP_S
+from groundstation.core.identify import STEP_S, Response, identify
 from groundstation.core.types import FloatArray
-from groundstation.core.velocity_loop import identify_loop
+from groundstation.core.velocity_loop import VelocityLoop, identify_loop
 
 
 def _flown(asked: FloatArray, p: float, i: float, drag: float, delay_s: float) -> FloatArray:
@@ -63,6 +64,18 @@ def test_one_lag_is_not_said_to_need_more() -> None:
 def test_what_the_record_does_not_tell_is_said() -> None:
     rng = np.random.default_rng(7)
     asked = _steps(8)
-    assert "5 s of flight" in identify_loop([asked[:200]], [asked[:200]]).problem
-    assert "vary by less" in identify_loop([np.zeros(len(asked))], [np.zeros(len(asked))]).problem
+    assert identify_loop([asked[:200]], [asked[:200]]).problem == "2.0 s of flight by setpoints, 5 s needed"
+    still = identify_loop([np.zeros(len(asked))], [np.zeros(len(asked))]).problem
+    assert still == "setpoints vary by 0.000 m/s only, 0.05 m/s needed: fly something that moves"
     assert "of the motion only" in identify_loop([asked], [0.3 * rng.standard_normal(len(asked))]).problem
+
+
+@pytest.mark.parametrize("fit", [identify, identify_loop])
+def test_reports_that_come_too_seldom_to_tell_a_velocity_are_told(
+    fit: Callable[[list[FloatArray], list[FloatArray]], Response | VelocityLoop],
+) -> None:
+    """What a log with one report a second comes to: no velocity is known between reports that far apart."""
+    asked = _steps(9)
+    nothing = np.full(len(asked), np.nan)
+    for done in ([nothing, nothing], [nothing, asked]):
+        assert "no velocity is known at any time" in fit([asked, asked], done).problem
