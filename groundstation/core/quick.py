@@ -6,11 +6,31 @@ Each gives to the bit what the usual way gives. A tick makes hundreds of such ca
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from groundstation.core.types import BoolArray, FloatArray, IntArray
+
+_Owner = TypeVar("_Owner")
+
+
+class kept(Generic[_Owner]):  # noqa: N801 - a decorator, like functools' cached_property, which takes a lock
+    """A mask of an object that many ask for: worked out for the first of them, and not to be written.
+
+    It stands among the object's own attributes under its name, whence it is taken out when it holds no longer.
+    """
+
+    def __init__(self, make: Callable[[_Owner], BoolArray]) -> None:
+        self._make, self.__doc__ = make, make.__doc__
+
+    def __get__(self, owner: _Owner, _kind: object = None) -> BoolArray:
+        """Called where the mask is not there: from then on it is found before this."""
+        mask = owner.__dict__[self._make.__name__] = self._make(owner)
+        mask.flags.writeable = False
+        return mask
 
 
 def some(mask: BoolArray) -> bool:

@@ -9,7 +9,7 @@ Decides nothing: the runner, the phases and the operator's orders say what becom
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import TypeVar
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.core import frames
+from groundstation.core.quick import kept
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import NEVER
 from groundstation.mission.plan.plan import MissionPlan
@@ -49,19 +50,6 @@ class Duty(IntEnum):
 _CLIMBS, _FORMATION, _HOMEWARD, _LANDS, _LANDS_HERE, _RELEASED, _KILLED = map(int, list(Duty)[1:])
 
 
-class _kept:  # noqa: N801 - a decorator, like property
-    """A mask that is asked for many times a tick: worked out once, until a duty changes; not to be written."""
-
-    def __init__(self, make: Callable[[Duties], BoolArray]) -> None:
-        self._make, self.__doc__ = make, make.__doc__
-
-    def __get__(self, duties: Duties, _kind: object = None) -> BoolArray:
-        """Called where the mask is not there: from then on it is found before this."""
-        mask = duties.__dict__[self._make.__name__] = self._make(duties)
-        mask.flags.writeable = False
-        return mask
-
-
 class Duties:
     """The duties of n vehicles, and who counts for what; for those that only look.
 
@@ -90,65 +78,65 @@ class Duties:
         """What one vehicle is to do."""
         return Duty(int(self._duty[vehicle]))
 
-    @_kept
+    @kept
     def ours(self) -> BoolArray:
         """Neither released nor killed: monitors judge them, commands go to them, shape (n,)."""
         mask: BoolArray = self._duty < _RELEASED
         return mask
 
-    @_kept
+    @kept
     def killed(self) -> BoolArray:
         """Motors are to stop, shape (n,)."""
         mask: BoolArray = self._duty == _KILLED
         return mask
 
-    @_kept
+    @kept
     def climbing(self) -> BoolArray:
         """Climbs by command and has not arrived, shape (n,)."""
         mask: BoolArray = self._duty == _CLIMBS
         return mask
 
-    @_kept
+    @kept
     def in_formation(self) -> BoolArray:
         """Flies with the team, or is on its way up to it, shape (n,)."""
         mask: BoolArray = (self._duty == _FORMATION) | (self._duty == _CLIMBS)
         return mask
 
-    @_kept
+    @kept
     def homeward(self) -> BoolArray:
         """Flies home apart from the formation, and does not land yet, shape (n,)."""
         mask: BoolArray = self._duty == _HOMEWARD
         return mask
 
-    @_kept
+    @kept
     def steered(self) -> BoolArray:
         """Gets setpoints, shape (n,); while it lands they are to stand still."""
         mask: BoolArray = (self._duty > _CLIMBS) & (self._duty < _RELEASED)
         return mask
 
-    @_kept
+    @kept
     def follows(self) -> BoolArray:
         """Is ours and was not told to land, so that it should do what setpoints say, shape (n,)."""
         return self.ours & ~self.told_to_land
 
-    @_kept
+    @kept
     def waited_for(self) -> BoolArray:
         """Those that the way home is not over without, as far as their duty tells, shape (n,)."""
         return self.ours & ~self.lands_here
 
-    @_kept
+    @kept
     def lands(self) -> BoolArray:
         """Is to land, told or not, shape (n,)."""
         mask: BoolArray = (self._duty == _LANDS) | (self._duty == _LANDS_HERE)
         return mask
 
-    @_kept
+    @kept
     def lands_here(self) -> BoolArray:
         """Is to land where it is while others fly, shape (n,): it comes down, and nobody may stay under it."""
         mask: BoolArray = self._duty == _LANDS_HERE
         return mask
 
-    @_kept
+    @kept
     def told_to_land(self) -> BoolArray:
         """Was told to land: it may leave the mode that follows us, and disarm, shape (n,)."""
         mask: BoolArray = self._told_ns != NEVER
@@ -184,7 +172,8 @@ class Duties:
         return np.where((self.lands_here | self._elsewhere)[:, None], self._place_ned_m, others_ned_m)
 
 
-_MASKS = tuple(name for name, item in vars(Duties).items() if isinstance(item, _kept))
+# Each is worked out once, until a duty changes.
+_MASKS = tuple(name for name, item in vars(Duties).items() if isinstance(item, kept))
 
 
 class Roster(Duties):

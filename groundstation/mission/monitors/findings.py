@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
-from groundstation.core.quick import some
+from groundstation.core.quick import kept, some
 from groundstation.core.types import BoolArray, FloatArray, IntArray
 from groundstation.mavlink.vehicle import Fleet
 from groundstation.mission.timing import SECOND_NS, HeldEach
@@ -78,19 +78,6 @@ class Finding:
         return replace(self, vehicles=rows) if rows else None
 
 
-class _once:  # noqa: N801 - a decorator, like functools' cached_property, which takes a lock
-    """A mask that several monitors ask a sight for: worked out for the first of them."""
-
-    def __init__(self, make: Callable[[Sight], BoolArray]) -> None:
-        self._make, self.__doc__ = make, make.__doc__
-
-    def __get__(self, sight: Sight, _kind: object = None) -> BoolArray:
-        """Called once: from then on the mask is found before this."""
-        mask = sight.__dict__[self._make.__name__] = self._make(sight)
-        mask.flags.writeable = False
-        return mask
-
-
 @dataclass(frozen=True)
 class Sight:
     """What monitors see of one tick.
@@ -134,12 +121,12 @@ class Sight:
         if not len(self.vel_error_ned_m_s):
             object.__setattr__(self, "vel_error_ned_m_s", np.zeros_like(self.vel_ned_m_s))
 
-    @_once
+    @kept
     def in_our_air(self) -> BoolArray:
         """In the air, not told to land, and where they are is known, shape (n,); not to be written."""
         return self.airborne & ~(self.excused | self.blind)
 
-    @_once
+    @kept
     def flown(self) -> BoolArray:
         """Those of them that get setpoints which they should follow, shape (n,); not to be written."""
         return self.steered & self.in_our_air
