@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from groundstation.app.picture_style import BLUE, INK, QUIET, VERMILION
-from groundstation.app.pictures import save_picture
-from groundstation.core.errors import UserError
+from groundstation.app.pictures import save_asked_picture
 from groundstation.design.graphs import Suggestion
 
 
@@ -63,7 +62,4 @@ def draw_suggestion(path: Path, suggestion: Suggestion) -> None:
     plane.set_ylabel("slowest mode, 1/s")
     plane.set_ylim(bottom=0)
     plane.spines[["top", "right"]].set_visible(False)
-    try:
-        save_picture(figure, path, 140)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be written ({error}); choose another --picture, .png or .svg") from error
+    save_asked_picture(figure, path)

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from groundstation.app.formation_text import formation_text
 from groundstation.app.output import Output
-from groundstation.app.pictures import drawn_by_gs
+from groundstation.app.pictures import claim_picture
 from groundstation.core.choices import unknown
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
@@ -74,10 +74,11 @@ def claim_outputs(
     for path, what, remedy, ours in (
         (output, "the gains", "another file with -o", same_formation),
         (graph_file, "the formation", "another file with --graph-file", lambda: False),  # people work on those
-        (picture, "the picture", "another file with --picture", lambda: picture is not None and drawn_by_gs(picture)),
     ):
         if path is not None and claim(path, what, remedy, ours=ours, force=force):
             replaced.append(path)
+    if picture is not None and claim_picture(picture, force=force):
+        replaced.append(picture)
     return replaced
 
 

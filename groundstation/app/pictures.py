@@ -7,7 +7,8 @@ from base64 import b64encode
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.core.own_files import write_whole
+from groundstation.core.errors import UserError
+from groundstation.core.own_files import claim, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,3 +42,25 @@ def save_picture(figure: Figure, path: Path, dpi: int) -> None:
     where = {"png": "Software", "svg": "Creator", "pdf": "Creator"}.get(kind)
     figure.savefig(drawn, dpi=dpi, format=kind, metadata={where: _MAKER} if where else None)
     write_whole(path, drawn.getvalue(), durable=False)
+
+
+def claim_picture(path: Path, *, force: bool) -> bool:
+    """Makes sure that what --picture names may be written; returns whether a picture of ours will be replaced.
+
+    Raises:
+        UserError: see ``own_files.claim``.
+    """
+    other = "another file with --picture"
+    return claim(path, "the picture", other, ours=lambda: drawn_by_gs(path), force=force)
+
+
+def save_asked_picture(figure: Figure, path: Path) -> None:
+    """Writes what --picture names.
+
+    Raises:
+        UserError: it cannot be written, or there is no such kind.
+    """
+    try:
+        save_picture(figure, path, 140)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be written ({error}); choose another --picture, .png or .svg") from error

@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from groundstation.app.identifying import DIRECTIONS
 from groundstation.app.picture_style import BLUE, INK, QUIET, VERMILION
-from groundstation.app.pictures import save_picture
-from groundstation.core.errors import UserError
+from groundstation.app.pictures import save_asked_picture
 from groundstation.core.velocity_loop import FIT_EVERY, FIT_STEP_S, VelocityLoop
 from groundstation.records.responses import Motion
-
-_AXES = ("east", "north", "up")
 
 
 def draw_responses(path: Path, motion: Motion, loops: Mapping[str, VelocityLoop]) -> None:
@@ -44,15 +42,12 @@ def draw_responses(path: Path, motion: Motion, loops: Mapping[str, VelocityLoop]
             second = loop.answer(asked[axis], start_m_s)
             panel.plot(times_s, second, color=BLUE, linestyle=":", linewidth=1.8, label="second order")
             told = f"one lag explains {loop.one_lag_explained:.1%}, the second order {loop.explained:.1%}"
-            panel.set_title(f"{_AXES[axis]}: {told}", fontsize=11, loc="left")
+            panel.set_title(f"{DIRECTIONS[axis]}: {told}", fontsize=11, loc="left")
         else:
-            panel.set_title(f"{_AXES[axis]}: {loop.problem}", fontsize=11, loc="left")
+            panel.set_title(f"{DIRECTIONS[axis]}: {loop.problem}", fontsize=11, loc="left")
         panel.set_ylabel("m/s")
         panel.spines[["top", "right"]].set_visible(False)
     panels[-1].set_xlabel("s of flight by setpoints")
     figure.suptitle(f"Vehicle {motion.id}: how its setpoints are followed", x=0.01, ha="left")
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="upper right", frameon=False, fontsize=10)
-    try:
-        save_picture(figure, path, 140)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be written ({error}); choose another --picture, .png or .svg") from error
+    save_asked_picture(figure, path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,21 +36,18 @@ def identify(
         slowest,
         values,
     )
-    from groundstation.app.pictures import drawn_by_gs
+    from groundstation.app.pictures import claim_picture
     from groundstation.app.resources import find_log
     from groundstation.core.identify import STEP_S
     from groundstation.core.identify import identify as fit
-    from groundstation.core.own_files import claim
     from groundstation.core.velocity_loop import VelocityLoop, identify_loop
     from groundstation.records.responses import load_motions
     from groundstation.records.tlog import read_tlog
 
     out = Output(as_json=as_json)
     log = find_log(log)
-    if picture is not None:
-        ours, other = partial(drawn_by_gs, picture), "another file with --picture"
-        if claim(picture, "the picture", other, ours=ours, force=force):
-            out.console.print(Text(f"replaces {picture}"))
+    if picture is not None and claim_picture(picture, force=force):
+        out.console.print(Text(f"replaces {picture}"))
     motions = load_motions(log, STEP_S)
     if not motions:
         for line in read_tlog(log).survey().words():
