@@ -133,6 +133,7 @@ def build_plan(
     )
     lead_s = lead_s_for(spec, profile)
     if positioning == "gps":
+        # By the whole lead: teams that look less far ahead were seen to form within these tolerances all the same.
         check_tolerances(source, spec, approach_rate_1_s(profile, profile.lag_s if spec.lead_s == "auto" else lead_s))
     acceleration_limit_m_s2 = spec.acceleration_limit_m_s2 or profile.acceleration_max_m_s2
     stages, stage_of_step = make_stages(spec, first, others or {}, profile, lead_s, source=source)
@@ -240,7 +241,7 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
         air = {field.name: figures.pop(field.name) for field in fields(Airframe) if field.name in figures}
         airframe = replace(PROFILES[like].airframe, **air)
         known = replace(PROFILES[like], name=name, airframe=airframe, **figures)
-        known = replace(known, lag_up_s=min(known.lag_up_s, known.lag_s))
+        known = replace(known, lag_up_s=min(known.lag_up_s, known.lag_s))  # upward nobody is slower
         # With another lag or drag it is not the velocity loop that is known.
         same = known.lag_s == PROFILES[like].lag_s and airframe.drag_1_s == PROFILES[like].airframe.drag_1_s
         profiles[name] = known if same else replace(known, response=None)

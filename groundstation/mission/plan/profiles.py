@@ -153,7 +153,8 @@ def lead_s_for(spec: MissionSpec, team: VehicleProfile) -> float:
 
     One lead counts on all axes. An axis with a lag tau_z that is less answers with k lambda L / (tau_z s) to what
     changes quickly, and with what is late beside (delay, tick, attitude) a team swings for good once it has begun to:
-    ArduCopter, 0.2 s upward, at k lambda L / tau_z of 4.9 and 6.1 1/s; at 3.3 it all but rests. Here it is 2.8 or less.
+    ArduCopter, 0.2 s upward, at k lambda L / tau_z of 4.9 and 6.1 1/s; at 3.3 it all but rests. Here it is 0.6 over
+    what is late beside, 2.7 1/s for a delay of 0.1 s.
 
     Args:
         spec: the mission.
