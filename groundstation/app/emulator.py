@@ -5,6 +5,7 @@ The truth is measured for the report alone; nothing of it reaches the runner.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +30,8 @@ from sitl.faults import Fault, FaultError, load_faults
 from sitl.personalities import PERSONALITIES
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
+
+_LAST_NS = 1_000_000_000
 
 
 def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:
@@ -193,7 +196,7 @@ def _ports(plan: MissionPlan) -> tuple[list[int], int | None]:
 
 
 class TruthMeter:
-    """Measures the true formation error while the formation is held and moved, and how near to regions anybody came.
+    """Measures what is true of a flight: how large errors are, how still it is held, how near to regions anybody came.
 
     Attributes:
         formation_error_m: largest true |d_ij - d*_ij| over all pairs and all ticks of all holds; NaN before.
@@ -203,6 +206,7 @@ class TruthMeter:
     def __init__(self, world: World) -> None:
         self.formation_error_m = float("nan")
         self.move_error_m = float("nan")
+        self._hold_speed = HoldSpeed()
         self._region: SafetyRegion | None = None
         self._upright_clearance = float("inf")
         self._world = world
@@ -219,6 +223,15 @@ class TruthMeter:
             return self._world.min_distance_airborne_m / self._region.radius_m
         return self._upright_clearance
 
+    def further(self) -> dict[str, float]:
+        """The figures that stand beside these in a manifest."""
+        return {"move_error_m": self.move_error_m, "hold_speed_m_s": self.hold_speed_m_s}
+
+    @property
+    def hold_speed_m_s(self) -> float:
+        """How still the team was held, see ``HoldSpeed``; NaN where no hold has lasted a second."""
+        return self._hold_speed.m_s
+
     def figures(self) -> dict[str, float]:
         """The figures that replace what the vehicles reported."""
         return {
@@ -227,7 +240,7 @@ class TruthMeter:
             "min_clearance": self.min_clearance,
         }
 
-    def __call__(self, session: Session, _now_ns: int) -> None:
+    def __call__(self, session: Session, now_ns: int) -> None:
         """Looks at the world after a tick."""
         runner = session.runner
         region = self._region = runner.plan.region
@@ -236,9 +249,46 @@ class TruthMeter:
             self._upright_clearance = min(
                 self._upright_clearance, min_clearance(truth.pos_enu_m, region, flying=truth.airborne)
             )
-        if runner.phase is Phase.HOLD:
-            error = runner.formation_error_m(self._world.truth.pos_enu_m)
+        if runner.phase is not Phase.HOLD:
+            self._hold_speed.end()
+        else:
+            truth = self._world.truth
+            self._hold_speed.take(now_ns, truth.vel_enu_m_s)
+            error = runner.formation_error_m(truth.pos_enu_m)
             self.formation_error_m = float(np.fmax(self.formation_error_m, error))
-        elif runner.phase in (Phase.MOVE, Phase.LEAD):
+        if runner.phase in (Phase.MOVE, Phase.LEAD):
             error = runner.formation_error_m(self._world.truth.pos_enu_m)
             self.move_error_m = float(np.fmax(self.move_error_m, error))
+
+
+class HoldSpeed:
+    """Root mean square of a vehicle's true speed over the last second of a hold, largest of all vehicles and holds.
+
+    Shorter holds do not count. A team that circles its places without end is formed and completes: only this shows it.
+    """
+
+    def __init__(self) -> None:
+        self._largest_m_s = float("nan")
+        self._squares: deque[tuple[int, np.ndarray]] = deque()  # of the hold under way: when, and (n,) speeds squared
+        self._since_ns = 0
+
+    def take(self, now_ns: int, vel_enu_m_s: np.ndarray) -> None:
+        """Takes the velocities of a tick of a hold, shape (n, 3)."""
+        if not self._squares:
+            self._since_ns = now_ns
+        self._squares.append((now_ns, (vel_enu_m_s**2).sum(axis=1)))
+        while now_ns - self._squares[0][0] > _LAST_NS:
+            self._squares.popleft()
+
+    def end(self) -> None:
+        """The hold is over, or none is under way."""
+        self._largest_m_s = self.m_s
+        self._squares.clear()
+
+    @property
+    def m_s(self) -> float:
+        """The figure so far; NaN before."""
+        if not self._squares or self._squares[-1][0] - self._since_ns < _LAST_NS:
+            return self._largest_m_s
+        latest = float(np.sqrt(np.mean([squares for _, squares in self._squares], axis=0).max()))
+        return float(np.fmax(self._largest_m_s, latest))

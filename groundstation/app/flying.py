@@ -220,7 +220,7 @@ def fly_dry(
         _note(session, links_watch.words(), links_watch.now_ns)
     values = _values(session, log_path, seed) | meter.figures() | {"log_complete": _complete(flight.log)}
     values |= laws.figures()
-    record = _for_the_record(session.runner, gate) | {"move_error_m": meter.move_error_m}
+    record = _for_the_record(session.runner, gate) | meter.further()
     _tell_refused(out, values, plan, gate)
     _tell_forward(out, forward)
     for words, style in ((laws.words(), "bold red"), (links_watch.words(), "")):
@@ -381,7 +381,7 @@ def fly_vehicles(
             record["counts"][f"errors of {url}"] = link.errors
         if meter is not None:
             values |= meter.figures()
-            record["move_error_m"] = meter.move_error_m
+            record |= meter.further()
         back = Lines(links, flight.clock, gate) if give_back and flight.clock is not None else None
         for line in offer_back(out, plan, keeper, back):
             out.console.print(Text(line, style="bold red"))
@@ -442,6 +442,7 @@ def _for_the_record(runner: Told, gate: FlightGate | None) -> dict[str, Any]:
         "counts": dict(runner.fleet.counts) | refused,
         "local_origins_enu_m": runner.local_origins_enu_m,
         "move_error_m": runner.figures.move_error_m,
+        "hold_speed_m_s": math.nan,  # only an emulator knows it
         "detours": runner.figures.detours,
     }
 
@@ -463,6 +464,7 @@ def tell_flight(out: Output, values: Values) -> None:
         ("formed after", _figure(values["time_to_form_s"], "s")),
         ("largest distance error while holding", _figure(values["formation_error_m"], "m")),
         ("largest distance error while moving", _figure(values["move_error_m"], "m", missing="")),
+        ("speed of the liveliest vehicle at the end of a hold", _figure(values["hold_speed_m_s"], "m/s", missing="")),
         ("smallest distance in the air", _figure(values["min_distance_m"], "m")),
         ("smallest clearance, 1 = at the safety region", _figure(values["min_clearance"], "")),
         ("safety radius r", _figure(values["safety_radius_m"], "m")),

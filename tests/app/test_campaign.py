@@ -640,6 +640,12 @@ def test_rates_have_exact_intervals_and_the_worst_come_first(tmp_path: Path) -> 
     assert why(words) == "near_untold: 1 and 2"
     bars = ExpectSpec(disagreements=0, tracebacks=1, logs_wrong=0)
     assert missed(values, bars) == ["disagreements is 1, expected 0 at most", "logs_wrong is 1, expected 0 at most"]
+    restless = [{**good, "run": run, "hold_speed_m_s": speed} for run, speed in enumerate([math.nan, 0.04, 0.6])]
+    values = summarise(restless, [""], lambda run: f"again {run}")
+    assert missed(values, ExpectSpec(max_hold_speed_m_s=0.3)) == ["max_hold_speed_m_s is 0.6, expected 0.3 at most"]
+    assert missed(figures(restless[:2]), ExpectSpec(max_hold_speed_m_s=0.3)) == []
+    assert missed(figures(restless[:1]), ExpectSpec(max_hold_speed_m_s=0.3)) == []  # nobody held
+    assert "0.600 m/s" in to_markdown(values)
     struck = [{**good, "faults": "reboot", "fault_phase": phase, "told": True} for phase in ("form", "land", "land")]
     struck[2]["safe"] = False
     values = summarise(struck, [""], lambda run: f"again {run}")

@@ -16,6 +16,7 @@ import pytest
 from groundstation.app.emulator import world_config
 from groundstation.app.verify import verify_log
 from groundstation.core.errors import UserError
+from groundstation.core.types import FloatArray
 from groundstation.mavlink.codec import Encoder, FrameSplitter, message_id
 from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mission.plan.schema import FormStep
@@ -66,17 +67,20 @@ def _verified(path: Path) -> None:
 def test_the_missions_that_come_along_are_flown_and_keep_r(name: str, seed: int, tmp_path: Path) -> None:
     """At half their rate, and held for a moment."""
     log = tmp_path / "flight.tlog" if name == "mixed8" else None  # that one has vehicles of both kinds
-    speeds_m_s: list[float] = []
+    held_enu_m: list[FloatArray] = []
 
     def watch(flight: Flight) -> bool:
         if flight.runner.phase is Phase.HOLD:
-            speeds_m_s.append(float(np.sqrt((flight.world.truth.vel_enu_m_s**2).sum(axis=1).mean())))
+            held_enu_m.append(flight.world.truth.pos_enu_m)
         return False
 
     flight = Flight(mission(name, "steps.1.hold.seconds=6"), seed=seed, log=log, chatter=True, interrupt_when=watch)
     _assert_flown(flight)
     # A team that swings round its places keeps within the tolerance, and goes at 0.3 m/s and more all the time.
-    assert np.mean(speeds_m_s[-len(speeds_m_s) // 3 :]) < 0.15
+    speeds_m_s = np.linalg.norm(np.diff(held_enu_m, axis=0), axis=2) * flight.plan.spec.rate_hz
+    assert np.sqrt((speeds_m_s[-len(speeds_m_s) // 3 :] ** 2).mean()) < 0.15
+    last = speeds_m_s[-round(flight.plan.spec.rate_hz) :]
+    assert flight.meter.hold_speed_m_s == pytest.approx(np.sqrt((last**2).mean(axis=0)).max(), abs=0.02)
     if log is not None:
         _verified(log)
 

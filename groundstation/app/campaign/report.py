@@ -40,6 +40,7 @@ _COLUMNS = (
     ("p95_time_to_form_s", "95 % within"),
     ("max_time_to_form_s", "slowest"),
     ("median_slower", "of kinematic"),
+    ("max_hold_speed_m_s", "speed in hold"),
     ("gridlocks", "gridlocks"),
     ("role_swaps", "swaps"),
     ("detours", "detours"),
@@ -121,6 +122,8 @@ def _text(cell: Mapping[str, Any], key: str) -> str:
         return f"{value:.2%}"
     if key.endswith("_m"):
         return f"{value:.3f} m"
+    if key.endswith("_m_s"):
+        return f"{value:.3f} m/s"
     if key.endswith("_slower"):
         return f"{value:.1f} times"
     return f"{value:.1f} s" if key.endswith("_s") else str(value)

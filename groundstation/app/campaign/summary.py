@@ -64,6 +64,9 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "max_hold_error_m": _quantile(
             np.array([row["formation_error_m"] for row in rows if math.isfinite(row["formation_error_m"])]), 1.0
         ),
+        "max_hold_speed_m_s": _quantile(
+            np.array([row["hold_speed_m_s"] for row in rows if math.isfinite(row["hold_speed_m_s"])]), 1.0
+        ),
         "completed": sum(row["outcome"] == "completed" for row in rows),
         "ended_safely": sum(bool(row["ended_safely"]) for row in rows),
         "errors": sum(bool(row["error"]) for row in rows),

@@ -38,6 +38,7 @@ SCHEMA = pa.schema(
         ("time_to_form_s", _REAL),
         ("kinematic_time_to_form_s", _REAL),
         ("formation_error_m", _REAL),
+        ("hold_speed_m_s", _REAL),
         ("min_distance_m", _REAL),
         ("nearest_pair", _TEXT),
         ("min_obedient_m", _REAL),

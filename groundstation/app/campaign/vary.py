@@ -196,7 +196,7 @@ AtMost = Annotated[int, Field(ge=0)]
 
 
 class ExpectSpec(_Strict):
-    """Bars that the campaign is held to: exit code 1 when one is missed. Rates at least, numbers of runs at most."""
+    """Bars that the campaign is held to: exit code 1 when one is missed. Rates at least, all others at most."""
 
     success_rate: Probability | None = None
     formed_rate: Probability | None = None
@@ -205,6 +205,7 @@ class ExpectSpec(_Strict):
     disagreements: AtMost | None = None
     tracebacks: AtMost | None = None
     logs_wrong: AtMost | None = None
+    max_hold_speed_m_s: Positive | None = None
 
 
 class Setting(_Strict):
