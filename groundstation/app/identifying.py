@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from groundstation.core.identify import Response
 from groundstation.core.velocity_loop import VelocityLoop
@@ -13,12 +16,20 @@ from groundstation.records.manifest import manifest_beside
 DIRECTIONS = ("east", "north", "up")
 UP_SHARE = 0.8
 """Share of the lag below which the one upward is worth a figure of its own."""
+_AXES = ("horizontal", "up")
+_ALIKE = 0.15
+"""Of a step: by so much velocities of two vehicles of one profile may differ at any time after it."""
 DELAY_SHARE_MAX = 0.4
 """Share of t63 from which on a delay is worth a word: profiles that come along have a fifth at most."""
 
 
-def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
-    """One line for each profile that is flown: the slowest vehicle's figures, and the quickest one's upward."""
+def profile_lines(vehicles: list[dict[str, Any]], loops: Mapping[int, Mapping[str, VelocityLoop]]) -> list[str]:
+    """One line for each profile that is flown: the slowest vehicle's figures, and the quickest one's upward.
+
+    Args:
+        vehicles: as ``gs identify --json`` has them.
+        loops: second orders of each vehicle, by id and direction.
+    """
     lines = []
     for name in dict.fromkeys(vehicle["profile"] for vehicle in vehicles if vehicle["profile"]):
         found = [item for item in vehicles if item["profile"] == name and item["lag_s"] is not None]
@@ -27,8 +38,30 @@ def profile_lines(vehicles: list[dict[str, Any]]) -> list[str]:
             ups = [item["axes"]["up"] for item in found]
             up_s = min((up["lag_s"] for up in ups if not up["problem"]), default=math.inf)
             quicker = f", lag_up_s: {max(up_s, 0.01):.2f}" if up_s < UP_SHARE * slowest["lag_s"] else ""
-            lines.append(f"{name}: {{lag_s: {slowest['lag_s']:.2f}{quicker}, delay_s: {slowest['delay_s']:.2f}}}")
+            figures = f"lag_s: {slowest['lag_s']:.2f}{quicker}, delay_s: {slowest['delay_s']:.2f}"
+            response = response_line([loops[item["id"]] for item in found])
+            lines.append(f"{name}: {{{figures}{f', response: {response}' if response else ''}}}")
     return lines
+
+
+def response_line(loops: Sequence[Mapping[str, VelocityLoop]]) -> str:
+    """The slowest vehicle's loop as a mission file has it; empty where one lag does as well, or not all answer alike.
+
+    Args:
+        loops: of each vehicle of a profile, by direction.
+    """
+    known = [loop for loop in loops if not any(item.problem for item in loop.values())]
+    if not known or sum(loop["horizontal"].needed for loop in known) <= len(known) / 2:
+        return ""
+    slowest = max(known, key=lambda loop: loop["horizontal"].reached_s())
+    for direction in _AXES:
+        if max(float(np.abs(loop[direction].step() - slowest[direction].step()).max()) for loop in known) > _ALIKE:
+            return ""
+    axes = (
+        f"{key}: {{p_1_s: {item.p_1_s:.2f}, i_1_s2: {item.i_1_s2:.2f}, drag_1_s: {item.drag_1_s:.2f}}}"
+        for key, item in zip(("horizontal", "vertical"), (slowest[name] for name in _AXES), strict=True)
+    )
+    return f"{{{', '.join(axes)}}}"
 
 
 def delay_note(vehicles: list[dict[str, Any]]) -> str:

@@ -7,6 +7,7 @@ and no limits but that of how large commands may become.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ from groundstation.core.types import BoolArray, FloatArray
 MOST_OVER_LIMIT = 2.0
 """Commands exceed the speed limit by this factor at most, for moments in which the speed itself does not."""
 _TERMS = 3
+_SHARE_63 = 1.0 - math.exp(-1.0)
+_SEEN_S, _STEP_S = 12.0, 0.002
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,22 @@ class AxisResponse:
     p_1_s: float
     i_1_s2: float
     drag_1_s: float
+
+    @property
+    def damping(self) -> float:
+        """Damping ratio: below 1 it overshoots."""
+        return (self.p_1_s + self.drag_1_s) / (2.0 * math.sqrt(self.i_1_s2))
+
+    def t63_s(self) -> float:
+        """Time after which 63 % of a step is reached; infinite if not within ``_SEEN_S``."""
+        velocity = missing = 0.0
+        for k in range(round(_SEEN_S / _STEP_S)):
+            if velocity >= _SHARE_63:
+                return k * _STEP_S
+            missing += (1.0 - velocity) * _STEP_S
+            push = self.p_1_s * (1.0 - velocity) + self.i_1_s2 * missing - self.drag_1_s * velocity
+            velocity += push * _STEP_S
+        return math.inf
 
 
 @dataclass(frozen=True)

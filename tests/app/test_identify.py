@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,16 @@ from groundstation.app.campaign.cases import Cases
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.vary import load_vary
 from groundstation.app.emulator import world_config
-from groundstation.app.identifying import delay_note
+from groundstation.app.identifying import delay_note, response_line
 from groundstation.core.damper import DamperParams
 from groundstation.core.errors import UserError
+from groundstation.core.velocity_loop import VelocityLoop
+from groundstation.mission.plan.profiles import PROFILES
+from groundstation.mission.plan.reading import load_mission
 from tests.app.commands import gs
 from tests.app.flights import CUBE8, cube8
+from tests.mission.test_compensation import LAG_S, PX4_CUBE8, answers
+from tests.mission.test_compensation import t63_s as answers_after_s
 
 
 def _flown(folder: Path, profile: str, autopilot: str) -> Path:
@@ -79,8 +85,35 @@ def test_profiles_are_found_in_their_flights(
     if profile == "px4_quad":  # the emulator's own gains: 1.8, 0.5, and a drag of 1.35 1/s
         assert all(item["needed"] and item["explained"] > 0.98 > item["one_lag_explained"] + 0.02 for item in known)
         assert [item["p_1_s"] for item in known] == pytest.approx([1.8] * len(known), rel=0.4)
+        # The line goes into a mission as it is, whose setpoints are shaped by it.
+        plan = load_mission(PX4_CUBE8, [f"profiles={{{line}}}"])
+        response = plan.vehicle_profiles[0].response
+        assert response is not None
+        for axis in (0, 2):
+            went, _ = answers(profile, axis, 0.3, response)
+            assert answers_after_s(went, 0.3) <= LAG_S + 2.5 * PROFILES[profile].delay_s
+            assert went.max() <= 1.2 * 0.3
+    else:
+        assert "response" not in line
     if profile == "crazyflie":
         assert not any(item["needed"] for item in known)
+
+
+def test_a_response_is_printed_where_all_vehicles_answer_alike_and_one_lag_does_not_do() -> None:
+    level = VelocityLoop(1.8, 0.3, 0.9, 0.1, 0.99, 0.93, 0.9, 0.1, 0.02)
+    up = VelocityLoop(5.3, 1.5, 0.9, 0.05, 0.99, 0.98, 0.2, 0.1, 0.02)
+    usual = {"horizontal": level, "up": up}
+    slower = {"horizontal": replace(level, p_1_s=1.7), "up": replace(up, p_1_s=5.0)}
+    horizontal, vertical = "{p_1_s: 1.70, i_1_s2: 0.30, drag_1_s: 0.90}", "{p_1_s: 5.00, i_1_s2: 1.50, drag_1_s: 0.90}"
+    assert response_line([usual, slower, usual]) == f"{{horizontal: {horizontal}, vertical: {vertical}}}"
+    plain = {"horizontal": replace(level, one_lag_explained=0.99), "up": up}
+    unknown = {"horizontal": level, "up": VelocityLoop(problem="setpoints vary by 0.01 m/s only")}
+    assert response_line([usual, slower, plain])
+    assert response_line([usual, plain]) == ""
+    assert response_line([usual, unknown])
+    assert response_line([unknown]) == response_line([]) == ""
+    assert response_line([usual, {"horizontal": replace(level, p_1_s=0.9), "up": up}]) == ""
+    assert response_line([usual, {"horizontal": level, "up": replace(up, p_1_s=2.0)}]) == ""
 
 
 def test_a_log_in_which_nothing_moves_is_refused_with_the_reason(

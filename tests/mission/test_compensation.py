@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from groundstation.app.resources import packaged_configs
-from groundstation.core.compensation import MOST_OVER_LIMIT, Compensator
+from groundstation.core.compensation import MOST_OVER_LIMIT, AxisResponse, Compensator, Response
 from groundstation.core.errors import UserError
 from groundstation.mission.plan.profiles import PROFILES
 from groundstation.mission.plan.reading import load_mission, plan_from_record
@@ -21,8 +22,11 @@ PX4_CUBE8 = packaged_configs() / "missions" / "px4_cube8.yaml"
 RESPONSES = {name: profile.response for name, profile in PROFILES.items() if profile.response is not None}
 
 
-def answers(name: str, axis: int, speed_m_s: float, *, compensated: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities along an axis (0 east, 2 up) and commands of one emulated vehicle for a step, tick by tick."""
+def answers(name: str, axis: int, speed_m_s: float, response: Response | None) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities along an axis (0 east, 2 up) and commands of one emulated vehicle for a step, tick by tick.
+
+    Without a response commands go as they are.
+    """
     estimator = Estimator([NOISELESS], STEP_S, np.random.default_rng(0))
     start = np.zeros((3, 1))
     vehicle = Dynamics([FLOWN[name]], pos_enu_m=start, yaw_enu_rad=np.zeros(1), estimator=estimator, step_s=STEP_S)
@@ -33,7 +37,7 @@ def answers(name: str, axis: int, speed_m_s: float, *, compensated: bool) -> tup
     vehicle.commands.vel_sp_enu_m_s[2] = 0.0
     for _ in range(round(8.0 / STEP_S)):
         vehicle.step()
-    shape = Compensator([RESPONSES[name]], np.array([LAG_S]), TICK_S, speed_m_s) if compensated else None
+    shape = Compensator([response], np.array([LAG_S]), TICK_S, speed_m_s) if response else None
     told = np.zeros((1, 3))
     told[0, [1, 0, 2][axis]] = -speed_m_s if axis == 2 else speed_m_s
     went, commands = [], []
@@ -55,7 +59,7 @@ def t63_s(went: np.ndarray, speed_m_s: float) -> float:
 @pytest.mark.parametrize("name", list(RESPONSES))
 def test_a_compensated_vehicle_answers_with_the_lag_that_the_team_counts_on(name: str, axis: int) -> None:
     profile = PROFILES[name]
-    went, commands = answers(name, axis, 0.3, compensated=True)
+    went, commands = answers(name, axis, 0.3, RESPONSES[name])
     # The lag behind it, and what is not inverted: dead time, attitude, motors.
     assert t63_s(went, 0.3) <= LAG_S + 1.8 * profile.delay_s
     assert went.max() <= 1.12 * 0.3
@@ -64,8 +68,8 @@ def test_a_compensated_vehicle_answers_with_the_lag_that_the_team_counts_on(name
 
 
 def test_it_is_the_compensation_that_makes_it_quick() -> None:
-    by_itself, commands = answers("px4_quad", 0, 0.3, compensated=False)
-    helped, _ = answers("px4_quad", 0, 0.3, compensated=True)
+    by_itself, commands = answers("px4_quad", 0, 0.3, None)
+    helped, _ = answers("px4_quad", 0, 0.3, RESPONSES["px4_quad"])
     assert t63_s(by_itself, 0.3) > 2.2 * t63_s(helped, 0.3)
     assert commands.max() == pytest.approx(0.3)
 
@@ -115,6 +119,67 @@ def test_whose_answer_is_not_known_is_not_compensated(changes: list[str]) -> Non
     with pytest.raises(UserError, match="no vehicle answers quicker by it"):
         load_mission(mission, ["compensate_s=0.8", *changes])
     assert load_mission(mission, changes).compensator() is None
+
+
+IDENTIFIED = """{
+  like: px4_quad, lag_s: 0.95, lag_up_s: 0.22, delay_s: 0.16,
+  response: {horizontal: {p_1_s: 1.8, i_1_s2: 0.5, drag_1_s: 1.35}, vertical: {p_1_s: 4.0, i_1_s2: 2.0, drag_1_s: 1.35}}
+}"""
+
+
+def _of_its_own(*changes: tuple[str, str]) -> list[str]:
+    text = IDENTIFIED
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return [f"profiles={{px4_quad: {text}}}"]
+
+
+def test_a_response_of_the_mission_is_flown_by_and_recorded() -> None:
+    plan = load_mission(PX4_CUBE8, _of_its_own())
+    shape = plan.compensator()
+    assert shape is not None
+    assert shape.compensated.all()
+    assert (plan.profile.lag_s, plan.lead_s) == (0.75, 0.75)
+    again = plan_from_record(plan.record(), plan.gains_npz, "record")
+    assert again.vehicle_profiles == plan.vehicle_profiles
+    assert load_mission(PX4_CUBE8, [*_of_its_own(), "compensate_s=0"]).compensator() is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        # By hand: (1.8 + 1.35) / (2 sqrt(9)) = 0.525.
+        (("i_1_s2: 0.5", "i_1_s2: 9"), r"px4_quad\.response\.horizontal: damping 0\.5[23], minimum is 0\.7.*leave"),
+        (("lag_s: 0.95", "lag_s: 0.3"), r"horizontal: 63 % of a step after 1\.\d+ s, limits 0\.18 and 0\.48 s.*both"),
+        (("p_1_s: 4.0, i_1_s2: 2.0", "p_1_s: 0.3, i_1_s2: 0.01"), r"response\.vertical: 63 % of a step after"),
+        (("p_1_s: 1.8", "p_1_s: -1"), r"response\.horizontal\.p_1_s"),
+    ],
+)  # fmt: skip
+def test_a_response_that_cannot_be_is_refused_with_its_key(change: tuple[str, str], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        load_mission(PX4_CUBE8, _of_its_own(change))
+
+
+def test_a_weak_loop_is_asked_for_no_more_than_passes_noise_on_three_times() -> None:
+    weak = ("p_1_s: 1.8, i_1_s2: 0.5, drag_1_s: 1.35", "p_1_s: 0.9, i_1_s2: 0.3, drag_1_s: 0.2")
+    slow = ["speed_limit_m_s=0.3", "lead_s=0"]  # which takes 0.15 s at the acceleration limit
+    plan = load_mission(PX4_CUBE8, [*_of_its_own(weak, ("lag_s: 0.95", "lag_s: 1.2")), *slow])
+    assert plan.profile.lag_s == pytest.approx(1.0 / (3.0 * 0.9))
+    shape = plan.compensator()
+    assert shape is not None
+    at_once = np.abs(shape(np.full((8, 3), 0.01))) / 0.01
+    assert at_once.max() <= 3.2
+    with pytest.raises(UserError, match=r"compensate_s: 0.3 s, minimum is 0.37 s: p_1_s of a velocity loop"):
+        load_mission(PX4_CUBE8, [*_of_its_own(weak, ("lag_s: 0.95", "lag_s: 1.2")), *slow, "compensate_s=0.3"])
+
+
+@pytest.mark.parametrize("gains", [(1.8, 0.5, 1.35), (4.0, 2.0, 1.35), (0.9, 0.3, 0.2), (6.0, 40.0, 2.0)])
+def test_when_63_percent_are_reached_is_what_scipy_says(gains: tuple[float, float, float]) -> None:
+    p, i, drag = gains
+    times_s, went = signal.step(([p, i], [1.0, p + drag, i]), T=np.arange(0.0, 8.0, 0.001))
+    assert AxisResponse(p, i, drag).t63_s() == pytest.approx(times_s[np.argmax(went >= 0.632)], abs=0.01)
+    assert AxisResponse(1e-3, 0.01, 8.0).t63_s() == np.inf
 
 
 def test_in_a_mixed_team_nobody_stops_much_sooner_than_those_who_follow_it() -> None:

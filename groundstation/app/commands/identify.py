@@ -87,7 +87,7 @@ def identify(
     note = delay_note(vehicles)
     if note:
         out.console.print(note)
-    lines = profile_lines(vehicles)
+    lines = profile_lines(vehicles, loops)
     if lines:
         out.console.print("for the mission file (links included: leave link_delay_s at 0):\nprofiles:")
         for line in lines:

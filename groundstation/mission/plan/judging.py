@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from groundstation.core.choices import unknown
+from groundstation.core.compensation import AxisResponse, Response
 from groundstation.core.errors import UserError
 from groundstation.core.formation import Formation
 from groundstation.core.metrics import near_pairs
@@ -36,6 +37,7 @@ from groundstation.mission.plan.positioning import (
     check_tolerances,
     margin_m,
 )
+from groundstation.mission.plan.profile_spec import ResponseSpec
 from groundstation.mission.plan.profiles import (
     PROFILES,
     VehicleProfile,
@@ -43,12 +45,17 @@ from groundstation.mission.plan.profiles import (
     compensated,
     compensated_lag_s,
     lead_s_for,
+    quiet_lag_s,
     slowest,
 )
 from groundstation.mission.plan.schema import MissionSpec
 from groundstation.mission.plan.stages import Shape, check_clearance, check_order, check_shape, make_stages, plan_moves
 from groundstation.mission.plan.vehicle_spec import VehicleSpec
 from groundstation.mission.plan.wind import check_wind, gust_margin_m, room_for_wind, wind_limit
+
+_DAMPING_MIN = 0.7
+_LAG_SHARES = (0.6, 1.6)
+"""63 % of a step horizontally after so many times the lag, at least and at most, says a response that goes with it."""
 
 
 def build_plan(
@@ -236,7 +243,7 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
                 f"{source}: profiles.{name}.like: {like} is not known; name one of {', '.join(PROFILES)}, whose other"
                 " figures it has"
             )
-        figures = given.model_dump(exclude={"like"}, exclude_none=True)
+        figures = given.model_dump(exclude={"like", "response"}, exclude_none=True)
         figures["settle_s"] = figures.pop("wind_settle_s", PROFILES[like].airframe.settle_s)
         air = {field.name: figures.pop(field.name) for field in fields(Airframe) if field.name in figures}
         airframe = replace(PROFILES[like].airframe, **air)
@@ -245,7 +252,33 @@ def known_profiles(spec: MissionSpec, source: str) -> dict[str, VehicleProfile]:
         # With another lag or drag it is not the velocity loop that is known.
         same = known.lag_s == PROFILES[like].lag_s and airframe.drag_1_s == PROFILES[like].airframe.drag_1_s
         profiles[name] = known if same else replace(known, response=None)
+        if given.response is not None:
+            response = _response(given.response, known.lag_s, f"{source}: profiles.{name}.response")
+            profiles[name] = replace(known, response=response)
     return profiles
+
+
+def _response(given: ResponseSpec, lag_s: float, key: str) -> Response:
+    """How a vehicle answers by itself, as a mission says.
+
+    Raises:
+        UserError: it swings, or is of another vehicle than the lag.
+    """
+    axes = {name: AxisResponse(**getattr(given, name).model_dump()) for name in ("horizontal", "vertical")}
+    for name, axis in axes.items():
+        if axis.damping < _DAMPING_MIN:
+            raise UserError(
+                f"{key}.{name}: damping {axis.damping:.2f}, minimum is {_DAMPING_MIN:g}: the inverse of a loop that"
+                " swings asks for what no vehicle can do; leave response out, its setpoints then go as they are"
+            )
+        least_s = _LAG_SHARES[0] * lag_s if name == "horizontal" else 0.0
+        if not least_s <= axis.t63_s() <= _LAG_SHARES[1] * lag_s:
+            raise UserError(
+                f"{key}.{name}: 63 % of a step after {axis.t63_s():.2f} s, limits {least_s:.2f} and"
+                f" {_LAG_SHARES[1] * lag_s:.2f} s for a lag_s of {lag_s:g} s: they tell of different vehicles; take"
+                " both from one gs identify, or leave response out"
+            )
+    return Response(**axes, lag_s=lag_s)
 
 
 def _as_followed(spec: MissionSpec, vehicle: VehicleSpec, profiles: Mapping[str, VehicleProfile]) -> VehicleProfile:
@@ -292,6 +325,12 @@ def _check_compensation(
     if spec.compensate_s == "auto" or lag_s is None:
         return
     if spec.compensate_s < lag_s:
+        if lag_s <= quiet_lag_s(profiles):
+            raise UserError(
+                f"{source}: compensate_s: {spec.compensate_s:g} s, minimum is {lag_s:.3g} s: p_1_s of a velocity"
+                " loop is so small that less would pass the noise of positions on three times over; make it larger, or"
+                " leave it out"
+            )
         raise UserError(
             f"{source}: compensate_s: {spec.compensate_s:g} s, minimum is {lag_s:.3g} s, 1.5 times what the speed limit"
             f" of {spec.speed_limit_m_s:g} m/s takes at the acceleration limit: counting on less the team may swing;"
@@ -302,8 +341,8 @@ def _check_compensation(
     known = ", ".join(name for name, profile in PROFILES.items() if profile.response is not None)
     raise UserError(
         f"{source}: compensate_s: {lag_s:.3g} s, and no vehicle answers quicker by it: it has to be less than the lag"
-        f" of a vehicle, and how one answers is known of {known} alone, with the lag and drag that come along; leave it"
-        " out"
+        f" of a vehicle, and how one answers is known of {known}, with the lag and drag that come along, and of"
+        " profiles with a response of their own (gs identify prints it); leave it out"
     )
 
 

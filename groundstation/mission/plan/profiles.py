@@ -101,6 +101,7 @@ PROFILES: dict[str, VehicleProfile] = {
 
 
 _SLOPES = 1.5
+_NOISE_MOST = 3.0
 _LATE_BESIDE_S = 0.1
 COMPENSATED_S = 0.3
 """What `compensate_s: auto` makes of the lag at best: less asks for larger commands, and passes on more noise."""
@@ -124,17 +125,30 @@ def compensated_lag_s(spec: MissionSpec, profiles: Sequence[VehicleProfile]) -> 
 
     No less than 1.5 times what the speed limit takes at the acceleration limit: a setpoint that may not change any
     faster lags behind what is wished, however quick the vehicle. A gain and a lead for less make a team swing without
-    end: at 0.6 times always, at once that time with velocity loops that are 30 % quicker than known.
+    end: at 0.6 times always, at once that time with velocity loops that are 30 % quicker than known. And no less than
+    ``quiet_lag_s``.
     """
     if not spec.compensate_s:
         return None
     reached_m_s2 = min(profile.acceleration_max_m_s2 for profile in profiles)
-    least_s = _SLOPES * spec.speed_limit_m_s / min(spec.acceleration_limit_m_s2 or reached_m_s2, reached_m_s2)
+    sloped_s = _SLOPES * spec.speed_limit_m_s / min(spec.acceleration_limit_m_s2 or reached_m_s2, reached_m_s2)
+    least_s = max(sloped_s, quiet_lag_s(profiles))
     if spec.compensate_s == "auto":
         # In a mixed team nobody is to stop much sooner than those who follow it.
         others_s = [profile.lag_s for profile in profiles if profile.response is None]
         return max(COMPENSATED_S, least_s, *others_s)
     return max(spec.compensate_s, least_s)
+
+
+def quiet_lag_s(profiles: Sequence[VehicleProfile]) -> float:
+    """The least lag with which compensation passes noise on no more than ``_NOISE_MOST`` times; 0 without responses.
+
+    G^-1(s) / (tau s + 1) comes to 1 / (p tau) for what changes from tick to tick.
+    """
+    gains = [
+        axis.p_1_s for item in profiles if item.response for axis in (item.response.horizontal, item.response.vertical)
+    ]
+    return 1.0 / (_NOISE_MOST * min(gains)) if gains else 0.0
 
 
 def compensated(profile: VehicleProfile, lag_s: float | None) -> VehicleProfile:

@@ -25,6 +25,7 @@ from groundstation.mission.plan.fields import NotNegative, Number, Point, Positi
 from groundstation.mission.plan.gateway_spec import GatewaySpec
 from groundstation.mission.plan.obstacle_spec import ObstacleSpec, TrafficSpec
 from groundstation.mission.plan.positioning_spec import PositioningSpec
+from groundstation.mission.plan.profile_spec import ProfileSpec
 from groundstation.mission.plan.sensing_spec import SensingSpec
 from groundstation.mission.plan.vehicle_spec import TeamSpec, VehicleSpec
 
@@ -400,24 +401,6 @@ class SigningSpec(LinkSigningSpec):
     """MAVLink 2 signing: of all links, and of single ones that differ, by address."""
 
     links: dict[str, LinkSigningSpec] = {}
-
-
-class ProfileSpec(_Strict):
-    """A profile of this mission, or other figures for one that is known; what is not given is as in ``like``."""
-
-    like: str | None = None
-    lag_s: Annotated[Number, Field(ge=0, le=10)] | None = None
-    lag_up_s: Annotated[Number, Field(gt=0, le=10)] | None = None
-    delay_s: Annotated[Number, Field(ge=0, le=10)] | None = None
-    acceleration_max_m_s2: Annotated[Number, Field(gt=0, le=100)] | None = None
-    position_error_m: Positive | None = None
-    air_1_s: Annotated[Number, Field(ge=0.01, le=10)] | None = None
-    air_1_m: Annotated[Number, Field(ge=0, le=10)] | None = None
-    drag_1_s: Annotated[Number, Field(ge=0, le=10)] | None = None
-    push_lag_s: Annotated[Number, Field(ge=0.01, le=10)] | None = None
-    wind_settle_s: Annotated[Number, Field(ge=0.1, le=1000)] | None = None
-    wind_mean_m_s: Annotated[Number, Field(ge=0, le=30)] | None = None
-    wind_gust_m_s: Annotated[Number, Field(ge=0, le=15)] | None = None
 
 
 class _FormationKeys(_Strict):
