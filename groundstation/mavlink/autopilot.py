@@ -20,6 +20,8 @@ CMD_RUN_PREARM_CHECKS = 401
 CMD_SET_MESSAGE_INTERVAL = 511
 CMD_REQUEST_MESSAGE = 512
 CUSTOM_MODE_ENABLED = 1.0
+STATE_CRITICAL = 5
+"""MAV_STATE from which on a failsafe acts."""
 _FORCE = 21196.0  # the number that makes COMPONENT_ARM_DISARM act in the air
 # What ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS have in common
 _HAS_ATTITUDE, _HAS_VELOCITY_XY, _HAS_VELOCITY_Z, _HAS_POSITION, _HAS_HEIGHT = 0x1, 0x2, 0x4, 0x8 | 0x10, 0x20
@@ -141,6 +143,16 @@ class Autopilot(ABC):
     @abstractmethod
     def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
         """Whether somebody's sticks fly it; a failsafe that shows a mode for sticks is none."""
+
+    def was_taken_while_landing(self, custom_mode: int, system_status: int) -> bool:
+        """Whether one that had begun to land and shows this mode now was taken over.
+
+        Nothing but somebody's hand leads from landing to a mode for sticks, whatever its status; to one in which it
+        flies by itself a failsafe may.
+        """
+        if self.is_landing_mode(custom_mode) or self.is_streaming_mode(custom_mode):
+            return False
+        return system_status < STATE_CRITICAL or self.is_flown_by_pilot(custom_mode, 0)
 
     def estimator_trouble(self, flags: int) -> str | None:
         """Why its estimator cannot be flown by, in words; None when it can.

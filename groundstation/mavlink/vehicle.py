@@ -51,6 +51,7 @@ _ORIGIN_FAR_M = 3_000.0  # and twice the local position, for what the curved ear
 _ORIGINS_NS = 10_000_000_000
 _ELSEWHERE_MAX = 2_000
 _METRES_PER_DEGREE = 111_320.0
+_ABOVE_FRESH_NS = 500_000_000  # a vehicle whose motors stop at 3 m is down after 0.8 s
 _LANDED_FRESH_NS = 3_000_000_000  # so long a landed state speaks against a heartbeat
 _TWO_PLACES_M = 1.0
 _STILL_M_S = 0.25  # whoever comes down is faster
@@ -123,9 +124,11 @@ class Fleet:
         mav_type: MAV_TYPE of the same, shape (n,).
         custom_mode: autopilot's own mode word, UNKNOWN before, shape (n,).
         armed: from the heartbeat, shape (n,). "Disarmed" is not believed of one that was armed while its landed state
-            says that it is in the air: autopilots stand on the ground by their own report as soon as they disarm.
+            says that it is in the air, or while it is seen high above the ground: autopilots stand on the ground by
+            their own report as soon as they disarm, and fall where they do so in the air.
         disarm_doubted: such a heartbeat was the last one, shape (n,).
         disarm_expected: its motors were told to stop: then that word is believed, whatever else it says, shape (n,).
+        above_ns: when it was last seen high above the ground, by whoever knows where that is, shape (n,).
         ground_doubted: reports to stand on the ground and is seen above it, shape (n,); whoever sees that tells it.
         system_status: MAV_STATE, UNKNOWN before, shape (n,).
         pos_local_ned_m: newest valid LOCAL_POSITION_NED, in each vehicle's own origin, NaN before, shape (n, 3).
@@ -202,6 +205,7 @@ class Fleet:
         self.disarm_doubted: BoolArray = np.zeros(n, dtype=np.bool_)
         self.disarm_expected: BoolArray = np.zeros(n, dtype=np.bool_)
         self.ground_doubted: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.above_ns: IntArray = np.full(n, NEVER, dtype=np.int64)
         self.system_status = _unknowns(n)
         self.pos_local_ned_m: FloatArray = np.full((n, 3), np.nan)
         self.vel_ned_m_s: FloatArray = np.full((n, 3), np.nan)
@@ -280,6 +284,10 @@ class Fleet:
     def expect_disarm(self, vehicle: int) -> None:
         """Its motors are told to stop: a heartbeat that says disarmed is believed, whatever else the vehicle says."""
         self.disarm_expected[vehicle] = True
+
+    def see_above(self, rows: BoolArray, now_ns: int) -> None:
+        """These are seen high above the ground now, shape (n,)."""
+        self.above_ns[rows] = now_ns
 
     def doubt_the_ground(self, rows: BoolArray) -> None:
         """These are seen above the ground, shape (n,), whatever they report; of the others it is believed again."""
@@ -578,11 +586,12 @@ class Fleet:
         kinds = values["type"].astype(np.int64) << 8 | values["autopilot"]
         self.senders.heartbeat(row, kinds, armed, mode, t_ns)
         flies = np.isin(self.landed_state[row], _OFF_THE_GROUND) & (t_ns - self.landed_ns[row] < _LANDED_FRESH_NS)
-        doubted = ~armed & self.armed[row] & flies & ~self.disarm_expected[row]
+        above = self._is_above(row, t_ns)
+        doubted = ~armed & self.armed[row] & (flies | above) & ~self.disarm_expected[row]
         if doubted.any():
             # Some firmware says "landing" for ever: one that stands still then has landed, unless two speak for it.
             moves = self._moves(row, t_ns) | self.senders.in_doubt(int(t_ns[-1]))[row]
-            doubted &= (self.landed_state[row] != LANDED_LANDING) | moves
+            doubted &= (self.landed_state[row] != LANDED_LANDING) | moves | above
         for k in doubted.nonzero()[0].tolist():
             told = (int(t_ns[k]), int(mode[k]), int(values["system_status"][k]))
             self._told[int(row[k])] = told
@@ -594,6 +603,11 @@ class Fleet:
         self.custom_mode[row] = mode
         self.armed[row] = armed
         self.system_status[row] = values["system_status"]
+
+    def _is_above(self, row: IntArray, t_ns: IntArray) -> BoolArray:
+        """Whether vehicles were seen high above the ground just now, shape (k,)."""
+        above_ns = self.above_ns[row]
+        return np.asarray((above_ns != NEVER) & (t_ns - above_ns < _ABOVE_FRESH_NS))
 
     def _moves(self, row: IntArray, t_ns: IntArray) -> BoolArray:
         """Whether vehicles move by either of their velocities, shape (k,); unknown counts as moving."""
@@ -805,7 +819,8 @@ class Fleet:
         self.landed_ns[row] = t_ns
         self.senders.landed(row, landed, t_ns)
         if some(self.disarm_doubted):
-            for vehicle in row[self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)].tolist():
+            said = self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)
+            for vehicle in row[said & ~self._is_above(row, t_ns)].tolist():
                 self._believe_disarmed(vehicle)
 
     def _command_ack(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:

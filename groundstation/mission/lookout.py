@@ -49,6 +49,7 @@ class Lookout:
         poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
         findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))
         fleet.doubt_the_ground(board.flies)
+        fleet.see_above(board.above, now_ns)
         self._act(findings, poses, now_ns)
         board.wind.enter(team.figures)
         poses = board.obstacles(board.steady(poses), fleet, pose_ns, roster, now_ns)
@@ -87,7 +88,7 @@ class Lookout:
             ours=roster.ours,
             steered=roster.steered & ~(roster.lands_here | board.foreign | board.hold),
             lands_here=roster.lands_here,
-            excused=roster.told_to_land,
+            excused=roster.told_to_land & ~team.landing.taken,
             blind=board.blind,
             airborne=team.standing.airborne(now_ns),
             going_on=self._machine.going_on,

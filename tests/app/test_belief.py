@@ -170,6 +170,20 @@ def test_one_word_against_all_others_is_told_and_nobody_is_left_in_the_air(lie: 
     _assert_brought_home(flight, words)
 
 
+def test_two_words_that_agree_are_not_believed_of_one_that_is_seen_high_above_its_pad() -> None:
+    """Disarmed, and on the ground: it was released, and left in the air when the program ended."""
+    liar, own = Sender(1), _instead(HEARTBEAT, lambda: Sender(1).heartbeat(DISARMED, OFFBOARD), _holding)
+    grounded = _instead(LANDED, lambda: liar.landed(ON_GROUND), _holding)
+
+    def both(datagram: Outgoing, flight: Flight) -> list[Outgoing]:
+        return [item for sent in own(datagram, flight) for item in grounded(sent, flight)]
+
+    flight = Flight(pair("steps.1.hold.seconds=8", autopilots=PX4_TWICE), tamper=both)
+    words = "vehicle 1: its heartbeats say disarmed, its landed state that it stands, "
+    _assert_brought_home(flight, words)
+    assert not any("released" in text for text in flight.texts("alarm"))
+
+
 @pytest.mark.parametrize("kind", [FIXED_WING, ROVER, 4, 20, 0])
 def test_what_is_no_multirotor_is_refused_by_its_type(kind: int) -> None:
     """On 1719c84 fixed wings and rovers passed preflight."""

@@ -168,6 +168,22 @@ def test_disarmed_is_not_believed_of_one_that_says_that_it_flies() -> None:
     assert (scene.fleet.custom_mode[0], scene.fleet.heartbeat_ns[0] > scene.now_ns - SECOND) == (LOITER, True)
 
 
+def test_disarmed_is_not_believed_while_it_is_seen_high_above_the_ground() -> None:
+    scene = Scene()
+    scene.flies()
+    for k in _steps(scene, 3.0, 100):
+        scene.fleet.see_above(np.array([True]), scene.now_ns)
+        scene.hear(scene.sender.landed(ON_GROUND))
+        if k % 10 == 5:
+            scene.hear(scene.sender.heartbeat(DISARMED, LOITER))
+    assert scene.fleet.armed[0]
+    assert scene.fleet.disarm_doubted[0]
+    # Half a second after it was last seen up there its words count again.
+    scene.hear(scene.sender.landed(ON_GROUND), passed_ms=600)
+    assert not scene.fleet.armed[0]
+    assert not scene.fleet.disarm_doubted[0]
+
+
 def test_disarmed_is_believed_on_the_ground_and_where_no_landed_state_is_told() -> None:
     for landed, age_ms in ((ON_GROUND, 0), (0, 0), (IN_AIR, 4000)):
         scene = Scene()

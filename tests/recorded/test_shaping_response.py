@@ -24,10 +24,11 @@ _DELAYS_S = np.arange(0.06, 0.31, 0.02)
 def _left(axis: AxisResponse | float, asked_m_s: FloatArray, done_m_s: FloatArray) -> tuple[float, float]:
     """Share of the motion that an axis' response (a float: one lag) leaves unexplained, and with which delay."""
     if isinstance(axis, float):
-        system = signal.cont2discrete(([1.0], [axis, 1.0]), _GRID_S)
+        above, below = np.array([1.0]), np.array([axis, 1.0])
     else:
-        above, below = [axis.p_1_s, axis.i_1_s2], [1.0, axis.p_1_s + axis.drag_1_s, axis.i_1_s2]
-        system = signal.cont2discrete((above, below), _GRID_S)
+        above = np.array([axis.p_1_s, axis.i_1_s2])
+        below = np.array([1.0, axis.p_1_s + axis.drag_1_s, axis.i_1_s2])
+    system = signal.cont2discrete((above, below), _GRID_S)
     times_s = np.arange(len(asked_m_s)) * _GRID_S
     went = signal.lfilter(np.ravel(system[0]), np.ravel(system[1]), asked_m_s)
     known = np.isfinite(done_m_s)

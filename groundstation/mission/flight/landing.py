@@ -17,7 +17,7 @@ from groundstation.core.limits import Fence
 from groundstation.core.quick import some
 from groundstation.core.types import BoolArray, FloatArray
 from groundstation.mavlink.commands import CommandQueue, Outcome
-from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, Fleet
+from groundstation.mavlink.vehicle import LANDED_ON_GROUND, NEVER, UNKNOWN, Fleet
 from groundstation.mission.flight.columns import Columns, Distances, Scene
 from groundstation.mission.flight.dark import Dark
 from groundstation.mission.flight.places import Box
@@ -95,6 +95,7 @@ class Landing:
     Attributes:
         spots: where everybody comes down.
         dark: parts the team when nobody knows where it is.
+        taken: whom a pilot flies, or has taken over while it landed, shape (n,): nothing is asked of them.
         deaf: who was told to land and goes on following our setpoints in the air, shape (n,). They are kept where they
             should come down: standing still by velocity alone they would drift, over others too, on which their own
             failsafe would land them in the end.
@@ -123,6 +124,8 @@ class Landing:
         self.dark = Dark(frames.ned_from_enu(plan.pads_enu_m))
         self._asking = AskAgain(n, _ASK_AGAIN_NS)
         self.deaf: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.taken: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._began: BoolArray = np.zeros(n, dtype=np.bool_)  # to land, since it was told to
         self._on_ground = HeldEach(n)
         self._said_yes: set[tuple[int, str]] = set()
         self._told: tuple[tuple[int, ...], BoolArray] = ((), np.zeros(n, dtype=np.bool_))  # modes, and which land
@@ -131,6 +134,9 @@ class Landing:
         """Takes how a command ended."""
         if outcome.accepted:
             self._said_yes.add((outcome.vehicle, outcome.command.name))
+            # Heartbeats tell it up to a second later, and by then it may be in somebody's hands.
+            lands = outcome.command.name == self._plan.autopilots[outcome.vehicle].land().name
+            self._began[outcome.vehicle] |= lands
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
         """Notes that vehicles shall land where they are, as soon as nobody is below.
@@ -154,6 +160,8 @@ class Landing:
     def step(self, now_ns: int, around: Around) -> None:
         """Asks those to land who shall, and those to disarm who have stood on the ground for long.
 
+        Of whom a pilot flies nothing is asked; the monitor of modes lets go of it.
+
         Args:
             now_ns: time of the tick.
             around: where everybody is, and whom we steer.
@@ -161,6 +169,7 @@ class Landing:
         fleet, roster = self._fleet, self._roster
         on_ground = self._standing.at(now_ns)
         self.deaf = self._goes_on_following(now_ns)
+        self.taken = self._taken_over(now_ns)
         still_armed = self._on_ground(on_ground, now_ns, _STILL_ARMED_NS)
         anybody = some(roster.lands) or some(around.coming)
         ready = self.spots.step(now_ns, self._scene(around, on_ground) if anybody else None)
@@ -176,6 +185,8 @@ class Landing:
                     self._asking.asked(vehicle, now_ns)
             elif autopilot.is_landing_mode(int(fleet.custom_mode[vehicle])):
                 roster.tell_to_land(vehicle, now_ns)  # it has begun by itself what was wanted of it
+            elif self.taken[vehicle]:
+                continue
             elif not parting[vehicle] and (ready[vehicle] or roster.told_to_land[vehicle]):
                 self._commands.request(vehicle, autopilot.land())
                 roster.tell_to_land(vehicle, now_ns)
@@ -192,6 +203,19 @@ class Landing:
             mode = int(fleet.custom_mode[vehicle])
             untaken[vehicle] = self._plan.autopilots[vehicle].is_streaming_mode(mode)
         return untaken
+
+    def _taken_over(self, now_ns: int) -> BoolArray:
+        """Whom a pilot flies, of those that are to land, shape (n,)."""
+        fleet, roster = self._fleet, self._roster
+        taken: BoolArray = roster.lands & fleet.armed & (fleet.custom_mode != UNKNOWN) & self._standing.airborne(now_ns)
+        for vehicle in taken.nonzero()[0].tolist():
+            autopilot, mode = self._plan.autopilots[vehicle], int(fleet.custom_mode[vehicle])
+            status = int(fleet.system_status[vehicle])
+            self._began[vehicle] |= roster.told_to_land[vehicle] and autopilot.is_landing_mode(mode)
+            taken[vehicle] = autopilot.is_flown_by_pilot(mode, status) or (
+                bool(self._began[vehicle]) and autopilot.was_taken_while_landing(mode, status)
+            )
+        return taken
 
     def standing(self, now_ns: int) -> BoolArray:
         """Vehicles that stand for good, shape (n,): who flies low keeps clear of them, they of nobody."""

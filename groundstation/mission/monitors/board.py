@@ -110,6 +110,11 @@ class Board:
         """Vehicles that say that they stand on the ground and are seen to fly, shape (n,)."""
         return self._contradictions.flies
 
+    @property
+    def above(self) -> BoolArray:
+        """Vehicles that are seen above their pads, whatever they say, shape (n,)."""
+        return self._contradictions.above
+
     def begin(self, fleet: Fleet) -> None:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""
         self._frames.begin(fleet.origin_moved_ns, fleet.restarts)

@@ -28,6 +28,7 @@ class Contradictions:
 
     Attributes:
         flies: reports to stand on the ground and is seen above its pad, shape (n,).
+        above: is seen above its pad, whatever it reports, shape (n,).
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -37,21 +38,28 @@ class Contradictions:
         self._doubts, self._kinds = Lasting(n, _BESIDE_S), Lasting(n)
         self._highs = Lasting(n, _BESIDE_S, again=True)
         self.flies: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.above: BoolArray = np.zeros(n, dtype=np.bool_)
 
     def look(self, sight: Sight, ours: BoolArray) -> Iterator[Finding]:
         """Tells of what cannot be, and brings everybody back."""
         fleet = sight.fleet
         counts = ours & ~sight.excused
-        for vehicle in self._doubts(fleet.disarm_doubted & counts, sight.now_ns):
-            what = "its heartbeats say disarmed, its landed state that it flies; it counts as flying"
-            yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=_FIND)
         height_m = (self._pads_ned_m - sight.pos_team_ned_m)[:, 2]
-        high = (fleet.landed_state == LANDED_ON_GROUND) & fleet.armed & (height_m > self._height_m)
-        high &= counts & ~sight.blind
+        self.above = (height_m > self._height_m) & ours & ~sight.blind
+        stands = fleet.landed_state == LANDED_ON_GROUND
+        for vehicle in self._doubts(fleet.disarm_doubted & counts, sight.now_ns):
+            seen = "its landed state that it flies"
+            if stands[vehicle]:
+                seen = f"its landed state that it stands, {height_m[vehicle]:.1f} m above its pad"
+            what = f"its heartbeats say disarmed, {seen}; it counts as flying"
+            yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=_FIND)
+        high = stands & fleet.armed & self.above & counts
         found = self._highs(high, sight.now_ns)
         self.flies &= high
         self.flies[found] = True
         for vehicle in found:
+            if fleet.disarm_doubted[vehicle]:
+                continue  # told above
             what = f"says that it stands on the ground, {height_m[vehicle]:.1f} m above its pad; it counts as flying"
             yield Finding(Reaction.ALL_HOME, what, (vehicle,), remedy=_FIND)
         if fleet.senders.all_alike:  # nothing was ever told of anybody

@@ -9,12 +9,11 @@ from groundstation.mavlink.autopilot import (
     CMD_NAV_LAND,
     CMD_NAV_TAKEOFF,
     CUSTOM_MODE_ENABLED,
+    STATE_CRITICAL,
     Autopilot,
 )
 from groundstation.mavlink.autopilots.crazyflie.failsafes import CrazyflieFailsafes
 from groundstation.mavlink.commands import Command
-
-_STATE_CRITICAL = 5  # MAV_STATE
 
 
 class Crazyflie(Autopilot):
@@ -69,4 +68,4 @@ class Crazyflie(Autopilot):
 
     def waits_for_setpoints(self, custom_mode: int, system_status: int) -> bool:
         """HOLD by the gateway's failsafe, which its status tells."""
-        return custom_mode == self._HOLD and system_status >= _STATE_CRITICAL
+        return custom_mode == self._HOLD and system_status >= STATE_CRITICAL

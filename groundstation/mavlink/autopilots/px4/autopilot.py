@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 
-from groundstation.mavlink.autopilot import CMD_DO_SET_MODE, CMD_NAV_LAND, CUSTOM_MODE_ENABLED, Autopilot
+from groundstation.mavlink.autopilot import (
+    CMD_DO_SET_MODE,
+    CMD_NAV_LAND,
+    CUSTOM_MODE_ENABLED,
+    STATE_CRITICAL,
+    Autopilot,
+)
 from groundstation.mavlink.autopilots.px4.failsafes import Px4Failsafes
 from groundstation.mavlink.commands import Command
 
-_STATE_CRITICAL = 5  # MAV_STATE
 _IS_AIDED = 0x100 | 0x200  # something measures where it is at this time
 
 
@@ -76,7 +81,7 @@ class Px4(Autopilot):
     def is_flown_by_pilot(self, custom_mode: int, system_status: int) -> bool:
         """Any mode but AUTO and OFFBOARD, unless a failsafe acts."""
         flies_itself = custom_mode >> 16 & 0xFF in (self._MAIN_AUTO, self._MAIN_OFFBOARD)
-        return not flies_itself and system_status < _STATE_CRITICAL
+        return not flies_itself and system_status < STATE_CRITICAL
 
     def estimator_trouble(self, flags: int) -> str | None:
         """By what measures its position; constant position mode (0x80) says nothing.
@@ -91,9 +96,9 @@ class Px4(Autopilot):
 
     def is_followed_closely(self, custom_mode: int, system_status: int) -> bool:
         """OFFBOARD lasts as long as its setpoints."""
-        return self.is_streaming_mode(custom_mode) and system_status < _STATE_CRITICAL
+        return self.is_streaming_mode(custom_mode) and system_status < STATE_CRITICAL
 
     def waits_for_setpoints(self, custom_mode: int, system_status: int) -> bool:
         """AUTO.LOITER by a failsafe, which its status tells: OFFBOARD is still what was asked for."""
         holds = custom_mode >> 16 & 0xFF == self._MAIN_AUTO and custom_mode >> 24 == self._SUB_LOITER
-        return holds and system_status >= _STATE_CRITICAL
+        return holds and system_status >= STATE_CRITICAL
