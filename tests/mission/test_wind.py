@@ -163,3 +163,25 @@ def _nine(profile: str) -> str:
         f"{{id: {k + 1}, link: {link}, autopilot: px4, profile: {profile}, pad_m: {pad}}}" for k, pad in enumerate(pads)
     ]
     return f"[{', '.join(rows)}]"
+
+
+MIXED = MISSIONS / "mixed8.yaml"
+
+
+def test_a_mean_wind_that_blows_one_kind_onto_another_at_takeoff_is_refused() -> None:
+    """By hand: pads of different kinds are 5 m apart, r is 3 m."""
+    with pytest.raises(
+        UserError, match=r"wind\.mean_m_s: 8 m/s may bring vehicles 2 \(px4\) and 5 \(arducopter\) nearer by \d"
+    ) as refused:
+        load_mission(MIXED, ["wind={mean_m_s: 8}"])
+    assert "their pads leave 2.00 m beside avoidance.radius_m 3 m" in str(refused.value)
+    able = float(str(refused.value).split("radius_m 3 m; ")[1].split(" m/s")[0])
+    assert load_mission(MIXED, [f"wind={{mean_m_s: {able}}}"]).wind.mean_m_s == able
+    assert load_mission(MIXED).wind.mean_m_s == able < 6.0  # without a word as much as there is room for
+    assert load_mission(MIXED, ["avoidance.radius_m=1.0", "avoidance.activation_m=2.0"]).wind.mean_m_s == 8.0
+    assert px4_cube8().wind.mean_m_s == 8.0  # all are blown off alike
+
+
+def test_what_nobody_calls_a_wind_is_allowed_to_teams_of_any_kinds() -> None:
+    plan = cube8("vehicles.0.autopilot=arducopter", "vehicles.0.profile=arducopter")
+    assert plan.wind.mean_m_s == 1.0

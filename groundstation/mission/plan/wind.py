@@ -21,6 +21,7 @@ from groundstation.mission.plan.schema import MissionSpec
 _DEVIATIONS = 3.0
 ROOM_SHARE = 0.9
 """Of the room that a formation leaves: more than that cannot be kept clear without locking everybody in."""
+_CALM_M_S = 1.0  # mean wind that nobody reckons with
 _UNASKED_SHARE = 0.6  # of it, where the mission names no limit: who has to squeeze past others forms late or never
 
 
@@ -50,6 +51,8 @@ class WindRoom:
         room_m: by how much the region can grow before the formation or the pads touch it.
         to_form_m: the same of the formation alone, in which the others move.
         to_wall_m: from each pad to the nearest wall of the fence, shape (n,).
+        to_others_m: what r leaves between the nearest two pads of vehicles that a wind blows off differently.
+        others: those two, by their place in the mission.
         lead_s: of the law.
     """
 
@@ -57,6 +60,8 @@ class WindRoom:
     room_m: float
     to_form_m: float
     to_wall_m: FloatArray
+    to_others_m: float
+    others: tuple[int, int]
     lead_s: float
 
 
@@ -66,7 +71,29 @@ def room_for_wind(
     """Puts together what a mission has for the wind; arguments as in ``WindRoom``."""
     low, high = np.array(spec.fence.min_m)[:2], np.array(spec.fence.max_m)[:2]
     to_wall_m = np.minimum(pads_enu_m[:, :2] - low, high - pads_enu_m[:, :2]).min(axis=1)
-    return WindRoom(margin_m, room_m, to_form_m, to_wall_m, lead_s)
+    apart_m, others = _nearest_of_other_kinds(spec, pads_enu_m)
+    return WindRoom(margin_m, room_m, to_form_m, to_wall_m, apart_m - spec.avoidance.radius_m, others, lead_s)
+
+
+def _nearest_of_other_kinds(spec: MissionSpec, pads_enu_m: FloatArray) -> tuple[float, tuple[int, int]]:
+    """Distance of the two nearest pads of vehicles of two kinds, and which; infinite where all are of one.
+
+    Autopilots lift off at instants of their own (ArduCopter 0.4 to 0.8 s after PX4), by velocity or holding their
+    place: one kind is blown off while the other still stands.
+    """
+    kinds = [(vehicle.autopilot, vehicle.profile) for vehicle in spec.vehicles]
+    numbers = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
+    if len(numbers) == 1:
+        return math.inf, (0, 0)
+    kind = np.array([numbers[item] for item in kinds])
+    nearest, pair = math.inf, (0, 0)
+    for k in range(len(kinds) - 1):
+        others = k + 1 + np.flatnonzero(kind[k + 1 :] != kind[k])
+        if len(others):
+            apart_m = np.linalg.norm(pads_enu_m[others] - pads_enu_m[k], axis=1)
+            if apart_m.min() < nearest:
+                nearest, pair = float(apart_m.min()), (k, int(others[apart_m.argmin()]))
+    return nearest, pair
 
 
 def wind_limit(spec: MissionSpec, profile: VehicleProfile, room: WindRoom) -> WindLimit:
@@ -83,13 +110,26 @@ def wind_limit(spec: MissionSpec, profile: VehicleProfile, room: WindRoom) -> Wi
 
 
 def _mean_that_fits(spec: MissionSpec, profile: VehicleProfile, room: WindRoom, most_m_s: float) -> float:
-    """Largest mean wind, to half a m/s, that blows nobody over the fence at takeoff."""
+    """Largest mean wind, to half a m/s, that blows nobody over the fence or into another's region at takeoff.
+
+    For others it is never less than what is no wind, as far as the fence allows that.
+    """
     least_m = float(room.to_wall_m.min())
     for half in range(math.floor(2.0 * most_m_s), 0, -1):
         mean_m_s = most_m_s if half == math.floor(2.0 * most_m_s) else half / 2.0
-        if blown_at_takeoff_m(profile, room.lead_s, spec.speed_limit_m_s, mean_m_s) <= least_m:
+        if blown_at_takeoff_m(profile, room.lead_s, spec.speed_limit_m_s, mean_m_s) > least_m:
+            continue
+        if mean_m_s <= _CALM_M_S or blown_nearer_m(spec, profile, room, mean_m_s) <= room.to_others_m:
             return mean_m_s
     return 0.0
+
+
+def blown_nearer_m(spec: MissionSpec, profile: VehicleProfile, room: WindRoom, mean_m_s: float) -> float:
+    """By how much two vehicles of different kinds may come nearer at takeoff: by the mean wind, and by gusts."""
+    given = spec.wind.gust_m_s
+    gust_m_s = profile.wind_gust_m_s if given is None else given
+    gust_m = gust_m_s * _metres_per_gust(spec, profile, mean_m_s)
+    return blown_at_takeoff_m(profile, room.lead_s, spec.speed_limit_m_s, mean_m_s) + gust_m
 
 
 def _gust_that_fits(spec: MissionSpec, profile: VehicleProfile, room: WindRoom, mean_m_s: float) -> float:
@@ -194,6 +234,17 @@ def check_wind(source: str, spec: MissionSpec, profile: VehicleProfile, limit: W
             f"{source}: wind.mean_m_s: {limit.mean_m_s:g} m/s may blow a vehicle {blown:.1f} m aside at takeoff, and"
             f" vehicles[{nearest}].pad_m is {wall_m:.2g} m from the fence; {able_m_s:g} m/s could be allowed: allow"
             " less wind, enlarge the fence, or raise speed_limit_m_s"
+        )
+    nearer_m = blown_nearer_m(spec, profile, room, limit.mean_m_s)
+    if nearer_m > room.to_others_m and limit.mean_m_s > _CALM_M_S:
+        able_m_s = _mean_that_fits(spec, profile, room, limit.mean_m_s)
+        first, second = (spec.vehicles[k] for k in room.others)
+        raise UserError(
+            f"{source}: wind.mean_m_s: {limit.mean_m_s:g} m/s may bring vehicles {first.id} ({first.autopilot}) and"
+            f" {second.id} ({second.autopilot}) nearer by {nearer_m:.2f} m at takeoff, since not all kinds lift off and"
+            f" are blown off alike; their pads leave {max(room.to_others_m, 0.0):.2f} m beside avoidance.radius_m"
+            f" {spec.avoidance.radius_m:g} m; {able_m_s:g} m/s could be allowed: allow less wind, or move pads of"
+            " different kinds further apart"
         )
     gust_m = gust_margin_m(spec, profile, limit)
     together_m, left_m = grown_by_m(room.margin_m, gust_m), ROOM_SHARE * room.room_m
