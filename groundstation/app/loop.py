@@ -282,7 +282,8 @@ def fly_real(
     """
     desk = _Desk(controls, session)
     fleet = session.runner.fleet
-    known: list[str | None] = []
+    known: list[tuple[int, str]] | None = None
+    told: list[Link] = []
     caught_up = False
     with Waiting([*links, *controls]) as waiting:
         intake = _Intake(links, waiting, clock, session.deliver)
@@ -307,11 +308,13 @@ def fly_real(
             desk.apply(now_ns)
             for link in links:
                 link.service(now_ns)
-            if known != fleet.peer:
-                known = list(fleet.peer)
+                if link.left_out and link not in told:
+                    told.append(link)
+                    session.remark("info", f"link {link.url}: left out: {link.left_out}; more is only counted", now_ns)
+            if known != (heard := fleet.heard_at()):
+                known = heard
                 for number, link in enumerate(links):
-                    at = zip(known, fleet.link, strict=True)
-                    link.know([peer for peer, where in at if peer is not None and where == number])
+                    link.know([peer for where, peer in known if where == number])
             setpoints = session.runner.setpoints_sent
             for datagram in session.tick(now_ns):
                 links[datagram.link].send(datagram.peer, b"".join(datagram.frames))

@@ -15,7 +15,7 @@ from groundstation.app.loop import FlightClock
 from groundstation.app.session import Session
 from groundstation.app.signing import FlightGate, open_gate
 from groundstation.core.errors import UserError
-from groundstation.links.link import Link
+from groundstation.links.link import LONGEST_OF_A_ROOM, LONGEST_OF_STRANGERS, Link
 from groundstation.links.opening import open_link
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
@@ -101,7 +101,9 @@ def open_flight(
     Raises:
         UserError: a link, a key file or the log cannot be opened; vehicles in the air wait for no disk.
     """
-    links = [stack.enter_context(closing(open_link(url))) for url in plan.all_links] if real else []
+    longest = [LONGEST_OF_STRANGERS] * len(plan.links) + [LONGEST_OF_A_ROOM]
+    urls = list(zip(plan.all_links, longest, strict=False)) if real else []
+    links = [stack.enter_context(closing(open_link(*item))) for item in urls]
     clock = FlightClock() if real else None
     epoch_unix_us = clock.epoch_unix_us if clock is not None else DRY_RUN_EPOCH_UNIX_US
     gate = open_gate(plan, epoch_unix_us, keep_times=keep_times) if sign else None

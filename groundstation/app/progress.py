@@ -34,8 +34,9 @@ _STYLES = {"alarm": "bold red", "phase": "bold", "info": "dim", "roles": "dim"}
 
 
 def link_troubles(links: Sequence[Link]) -> list[str]:
-    """What is wrong with the links themselves, a line for each that does not work."""
-    return [f"link {link.url}: {link.state}" for link in links if link.state]
+    """What is wrong with the links themselves, a line for each that does not work, or has left something out."""
+    broken = [f"link {link.url}: {link.state}" for link in links if link.state]
+    return broken + [f"link {link.url}: left out: {link.left_out}" for link in links if link.left_out]
 
 
 class Screen:

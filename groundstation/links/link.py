@@ -13,10 +13,15 @@ RETRY_NS = 1_000_000_000
 """Time between two attempts to open what has gone away."""
 BACKLOG_BYTES = 4_096
 """What a stream keeps for an other end that does not take it now; more than that is old news and is left out."""
-
-
 RECEIVE_BYTES = 4_096
 """What ``receive`` takes at a time, so that its owner looks at the clock in between: a link may be flooded."""
+STRANGERS_BYTES = 1_024
+"""What strangers get of that at most, once somebody is known, and only when those that are known have no more."""
+LONGEST_OF_STRANGERS = 4_096
+"""A longer datagram of a stranger is left out before anybody looks into it. Vehicles stay below 1,500 bytes, and a
+router that joins frames has room for thirteen of the longest here."""
+LONGEST_OF_A_ROOM = 24_576
+"""The same where a motion capture system speaks: one instant is one datagram, and there may be five hundred bodies."""
 
 
 class Link(Protocol):
@@ -24,7 +29,7 @@ class Link(Protocol):
 
     Attributes:
         url: as the mission writes it.
-        errors: datagrams that could not be sent or taken.
+        errors: datagrams that could not be sent or taken, and those that were left out.
     """
 
     url: str
@@ -50,6 +55,8 @@ class Link(Protocol):
     def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
         """Takes what has arrived: (peer, bytes) each, in order of arrival, those that are known first.
 
+        Strangers get a share of what those that are known leave, and nothing while those have more.
+
         Args:
             most: bytes; a piece that begins within them is taken whole.
         """
@@ -63,6 +70,10 @@ class Link(Protocol):
     @property
     def state(self) -> str:
         """What is wrong with the link, for people; empty while it works."""
+
+    @property
+    def left_out(self) -> str:
+        """What was left out of what came for its length, for people; empty while nothing was."""
 
     def close(self) -> None:
         """Gives everything back."""

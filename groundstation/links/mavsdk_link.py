@@ -41,6 +41,8 @@ class MavsdkLink:
         UserError: MAVSDK cannot open it.
     """
 
+    left_out = ""
+
     def __init__(self, address: LinkAddress) -> None:
         self.url = address.url
         self.errors = 0

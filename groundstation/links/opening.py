@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from groundstation.core.extras import need
-from groundstation.links.link import Link
+from groundstation.links.link import LONGEST_OF_STRANGERS, Link
 from groundstation.links.tcp import TcpClientLink, TcpServerLink
 from groundstation.links.udp import open_udp
 from groundstation.mavlink.addresses import parse_address
 
 
-def open_link(url: str) -> Link:
+def open_link(url: str, longest: int = LONGEST_OF_STRANGERS) -> Link:
     """Opens a link.
 
     What may come later (a vehicle that connects, a radio that is plugged in) is waited for by the link; what will not
@@ -17,6 +17,7 @@ def open_link(url: str) -> Link:
 
     Args:
         url: see ``addresses``.
+        longest: bytes of a datagram of a stranger that is taken.
 
     Raises:
         UserError: a wrong address, a port in use, a device that may not be opened.
@@ -35,4 +36,4 @@ def open_link(url: str) -> Link:
         return TcpClientLink(address)
     if address.kind == "tcpin":
         return TcpServerLink(address)
-    return open_udp(url)
+    return open_udp(url, longest)

@@ -29,6 +29,8 @@ class SerialLink:
         UserError: there is such a device, and it cannot be opened.
     """
 
+    left_out = ""
+
     def __init__(self, address: LinkAddress) -> None:
         self.url = address.url
         self.errors = 0

@@ -13,12 +13,11 @@ import socket
 from collections.abc import Collection
 
 from groundstation.core.errors import UserError
-from groundstation.links.link import RECEIVE_BYTES, RETRY_NS, Backlog
+from groundstation.links.link import RECEIVE_BYTES, RETRY_NS, STRANGERS_BYTES, Backlog
 from groundstation.mavlink.addresses import LinkAddress
 
 _CONNECT_NS = 5_000_000_000
 _CONNECTIONS_MAX = 64
-_STRANGER_BYTES = 1_024
 
 
 class _Connection:
@@ -60,6 +59,8 @@ class TcpClientLink:
     Args:
         address: where to.
     """
+
+    left_out = ""
 
     def __init__(self, address: LinkAddress) -> None:
         self.url = address.url
@@ -161,6 +162,8 @@ class TcpServerLink:
         address: where to listen.
     """
 
+    left_out = ""
+
     def __init__(self, address: LinkAddress) -> None:
         self.url = address.url
         self.errors = 0
@@ -207,9 +210,27 @@ class TcpServerLink:
         self._known = frozenset(peers)
 
     def receive(self, most: int = RECEIVE_BYTES) -> list[tuple[str, bytes]]:
-        """Takes new connections, what has arrived, and leave of those that have ended."""
+        """Takes new connections, what has arrived, and leave of those that have ended.
+
+        Strangers share what those that are known leave; another one is first every time.
+        """
+        self._accept()
+        arrived: list[tuple[str, bytes]] = []
+        left = most
+        for peer in [peer for peer in self._connections if peer in self._known]:
+            left -= self._take(peer, most, arrived)
+        left = min(left, STRANGERS_BYTES) if self._known else left
+        for peer in [peer for peer in self._connections if peer not in self._known]:
+            if left <= 0:
+                break
+            left -= self._take(peer, min(left, STRANGERS_BYTES), arrived)
+            if peer in self._connections:
+                self._connections[peer] = self._connections.pop(peer)
+        return arrived
+
+    def _accept(self) -> None:
         with contextlib.suppress(OSError):
-            while True:
+            for _ in range(_CONNECTIONS_MAX):
                 item, address = self.listener.accept()
                 peer = f"{address[0]}:{address[1]}"
                 if len(self._connections) >= _CONNECTIONS_MAX:
@@ -217,15 +238,17 @@ class TcpServerLink:
                     self.errors += 1
                 else:
                     self._connections[peer] = _Connection(item, peer)
-        arrived = []
-        for peer, connection in sorted(self._connections.items(), key=lambda item: item[0] not in self._known):
-            data = connection.receive(most if peer in self._known else min(most, _STRANGER_BYTES))
-            if data is None:
-                connection.socket.close()
-                del self._connections[peer]
-            elif data:
-                arrived.append((peer, data))
-        return arrived
+
+    def _take(self, peer: str, most: int, arrived: list[tuple[str, bytes]]) -> int:
+        """Takes bytes from one connection, or leave of it; returns how many came."""
+        connection = self._connections[peer]
+        data = connection.receive(most)
+        if data is None:
+            connection.socket.close()
+            del self._connections[peer]
+        elif data:
+            arrived.append((peer, data))
+        return len(data or b"")
 
     def send(self, peer: str, data: bytes) -> None:
         """Sends whole frames to one that is connected."""

@@ -262,6 +262,7 @@ class Fleet:
         self._held = False
         self._signed: frozenset[int] = frozenset()
         self._room_peer: str | None = None
+        self._room_heard_ns = 0
 
     def __len__(self) -> int:
         """Number of vehicles, n."""
@@ -378,6 +379,7 @@ class Fleet:
             return list(received)
         if self._room_peer is None or not self._held:
             self._room_peer = told[-1].peer
+        self._follow_the_room(told)
         here = [(item.frame, item.t_rx_ns) for item in told if self._same_host(self._room_peer, item.peer)]
         self._count("motion capture: frames of a second sender", len(told) - len(here))
         for text in room_words(here):
@@ -387,6 +389,22 @@ class Fleet:
             if seen is not None:
                 self._see(seen)
         return [item for item in received if item.link != link]
+
+    def _follow_the_room(self, told: Sequence[ReceivedFrame]) -> None:
+        """What reads the motion capture may have been begun anew, at another port of its host."""
+        for item in told:
+            if item.peer != self._room_peer:
+                silent = item.t_rx_ns - self._room_heard_ns >= _PEER_SILENT_NS
+                if not silent or not self._same_host(self._room_peer, item.peer):
+                    continue
+                self._room_peer = item.peer
+            self._room_heard_ns = item.t_rx_ns
+
+    def heard_at(self) -> list[tuple[int, str]]:
+        """Link and address of all that are heard: vehicles, and what reads the motion capture."""
+        at = zip(self.link.tolist(), self.peer, strict=True)
+        room = () if self.room is None or self._room_peer is None else ((self.room.config.link, self._room_peer),)
+        return [*((link, peer) for link, peer in at if peer is not None), *room]
 
     def _see(self, seen: Seen) -> None:
         """Takes positions of the room; velocities too, of those whose own estimate is not there or old."""

@@ -40,7 +40,7 @@ class Clock(FlightClock):
 class Pipe:
     """A link; ``pieces`` says what has arrived by now."""
 
-    url, errors, state, behind = "test", 0, "", False
+    url, errors, state, left_out, behind = "test", 0, "", "", False
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock

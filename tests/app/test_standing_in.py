@@ -126,7 +126,7 @@ class StoppedClock(FlightClock):
 class OneLink:
     """A link on which old datagrams lie after the leap."""
 
-    url, errors, state = "test", 0, ""
+    url, errors, state, left_out = "test", 0, "", ""
 
     def __init__(self, session: Recording) -> None:
         self._session = session

@@ -7,12 +7,13 @@ import pty
 import socket
 import tty
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from groundstation.core.errors import UserError
-from groundstation.links.link import BACKLOG_BYTES, RETRY_NS, Link
+from groundstation.links.link import BACKLOG_BYTES, RETRY_NS, STRANGERS_BYTES, Link
 from groundstation.links.opening import open_link
 from groundstation.links.serial_port import SerialLink
 from groundstation.links.tcp import TcpClientLink, TcpServerLink
@@ -104,6 +105,35 @@ def test_whoever_does_not_read_loses_whole_datagrams_and_no_half_ones(listener: 
         assert got == piece * taken
         assert len(got) > BACKLOG_BYTES
     link.close()
+
+
+def test_connections_of_strangers_share_what_those_that_are_known_leave() -> None:
+    link = open_link("tcpin://127.0.0.1:0")
+    assert isinstance(link, TcpServerLink)
+    with ExitStack() as stack:
+        stack.callback(link.close)
+
+        def connected() -> socket.socket:
+            return stack.enter_context(socket.create_connection(link.listener.getsockname(), LIMIT_S))
+
+        def name(item: socket.socket) -> str:
+            return f"127.0.0.1:{item.getsockname()[1]}"
+
+        vehicle, strangers = connected(), [connected() for _ in range(20)]
+        assert link.receive() == []
+        link.know([name(vehicle)])
+        for item in strangers:
+            item.sendall(bytes(5_000))
+        vehicle.sendall(b"position")
+        heard: set[str] = set()
+        for turn in range(20):
+            arrived = link.receive()
+            if turn == 0:
+                assert arrived[0] == (name(vehicle), b"position")
+                arrived = arrived[1:]
+            assert 0 < sum(len(data) for _, data in arrived) <= STRANGERS_BYTES
+            heard.update(peer for peer, _ in arrived)
+        assert heard == {name(item) for item in strangers}
 
 
 def test_a_server_takes_whoever_connects_and_answers_each() -> None:

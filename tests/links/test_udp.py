@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import select
 import selectors
 import socket
 from contextlib import ExitStack
@@ -11,13 +12,23 @@ import pytest
 
 from groundstation.core.errors import UserError
 from groundstation.links import udp
+from groundstation.links.link import LONGEST_OF_STRANGERS
 from groundstation.links.steering import program
 from groundstation.links.udp import UdpLink, open_udp
+from tests.links.alone import alone_on_a_port
 from tests.links.waits import LIMIT_S, arrived_on
 
 
 def _port_of(link_socket: socket.socket) -> int:
     return int(link_socket.getsockname()[1])
+
+
+def _all_of(link: UdpLink) -> list[tuple[str, bytes]]:
+    """All that lies in a link; a turn may give nothing where something is left out."""
+    taken = []
+    while link.behind or select.select(link.sources(), [], [], 0)[0]:
+        taken += link.receive()
+    return taken
 
 
 def test_what_arrives_comes_with_its_sender_and_the_answer_goes_back_there() -> None:
@@ -120,15 +131,8 @@ def test_a_full_queue_of_strangers_takes_no_room_from_those_that_are_known() -> 
         assert [item for item in arrived if item[0] == peer] == [(peer, b"position")] * 10
 
 
-def _alone(family: int, where: tuple[str, int]) -> tuple[socket.socket, None]:
-    """A system that cannot tell senders apart."""
-    item = socket.socket(family, socket.SOCK_DGRAM)
-    item.bind(where)
-    return item, None
-
-
 def test_without_the_kernel_strangers_wait_and_what_is_too_much_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(udp, "open_pair", _alone)
+    monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
     monkeypatch.setattr(udp, "_STRANGERS_BYTES", 60_000)
     with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
         peer, arrived = _flooded(link, stack, strangers=200, big=1_000)
@@ -150,7 +154,7 @@ def test_what_a_vehicle_sent_before_it_was_known_comes_before_what_it_sends_then
 ) -> None:
     """Otherwise old reports come between new ones, as if two vehicles had one name."""
     if alone:
-        monkeypatch.setattr(udp, "open_pair", _alone)
+        monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
     with ExitStack() as stack:
         link = stack.enter_context(open_udp("udpin://127.0.0.1:0"))
         vehicles = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(3)]
@@ -177,6 +181,133 @@ def test_what_a_vehicle_sent_before_it_was_known_comes_before_what_it_sends_then
             assert heard[-1]
         for name in names:
             assert [int(data) for peer, data in itertools.chain(*heard) if peer == name] == list(range(50))
+
+
+@pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.parametrize(("size", "count"), [(60_000, 400), (20_000, 800), (4_000, 2_500), (1_400, 3_000), (40, 6_000)])
+def test_however_much_strangers_sent_nothing_of_a_vehicle_comes_behind_what_it_said_later(
+    size: int, count: int, *, alone: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Time that runs back is how an autopilot looks that has started anew."""
+    if alone:
+        monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        where = link.socket.getsockname()
+        vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        numbers = itertools.count()
+        vehicle.sendto(str(next(numbers)).encode(), where)
+        taken = arrived_on(link)
+        ((peer, _),) = taken
+        for _ in range(count):
+            other.sendto(bytes(size), where)
+            vehicle.sendto(str(next(numbers)).encode(), where)
+        link.know([peer])
+        sent_then = [next(numbers) for _ in range(20)]
+        for number in sent_then:
+            vehicle.sendto(str(number).encode(), where)
+        taken += _all_of(link)
+        said = [int(data) for name, data in taken if name == peer]
+        assert said == sorted(said)
+        if link.own is not None:
+            assert said[-20:] == sent_then
+
+
+def test_old_datagrams_that_are_found_too_late_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(udp, "_SORTED_MAX", 10)
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        if link.own is None:
+            pytest.skip("this system's kernel does not sort datagrams")
+        vehicle = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        vehicle.sendto(b"0", link.socket.getsockname())
+        said = arrived_on(link)
+        peer = said[0][0]
+        for number in range(1, 81):
+            if number == 51:
+                link.know([peer])
+            vehicle.sendto(str(number).encode(), link.socket.getsockname())
+        said += _all_of(link)
+        assert [int(data) for _, data in said] == [*range(11), *range(51, 81)]
+        assert link.too_late == link.errors == 40
+
+
+def test_who_is_known_again_before_all_was_read_is_heard_in_order() -> None:
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        vehicle = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        vehicle.sendto(b"0", link.socket.getsockname())
+        said = arrived_on(link)
+        for number, known in enumerate((True, False, True), start=1):
+            link.know([said[0][0]] if known else [])
+            vehicle.sendto(str(number).encode(), link.socket.getsockname())
+        said += _all_of(link)
+        told = [int(data) for _, data in said]
+        assert told == sorted(told)
+        assert {0, 1, 3} <= set(told)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_long_datagrams_of_strangers_are_left_out_and_those_of_vehicles_are_not(
+    *, alone: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if alone:
+        monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        where = link.socket.getsockname()
+        vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        longest, longer = bytes(LONGEST_OF_STRANGERS), bytes(LONGEST_OF_STRANGERS + 1)
+        vehicle.sendto(longest, where)
+        ((peer, data),) = arrived_on(link)
+        assert data == longest
+        assert link.left_out == ""
+        link.know([peer])
+        for item in (other, vehicle):
+            item.sendto(longer, where)
+            item.sendto(longest, where)
+        taken = _all_of(link)
+        assert [data for name, data in taken if name == peer] == [longer, longest]
+        assert [data for name, data in taken if name != peer] == [longest]
+        assert link.errors == 1
+        assert link.left_out == "1 datagrams of unknown senders, longer than 4096 bytes"
+    with open_udp("udpin://127.0.0.1:0", len(longer)) as link, socket.socket(type=socket.SOCK_DGRAM) as room:
+        room.sendto(longer, link.socket.getsockname())
+        assert [data for _, data in arrived_on(link)] == [longer]
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_strangers_get_a_share_when_those_that_are_known_have_no_more(
+    *, alone: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if alone:
+        monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
+    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
+        where = link.socket.getsockname()
+        vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        vehicle.sendto(b"hello", where)
+        ((peer, _),) = arrived_on(link)
+        link.know([peer])
+        for _ in range(20):
+            other.sendto(bytes(500), where)
+            vehicle.sendto(bytes(500), where)
+        turns = []
+        while arrived := link.receive(4_096):
+            turns.append([name == peer for name, _ in arrived])
+        assert turns[0] == [True] * 9
+        assert turns[1] == [True] * 9
+        assert turns[2] == [True, True, *[False] * 3]
+        assert all(turn == [False] * 3 for turn in turns[3:-1])
+        assert sum(turn.count(False) for turn in turns) == 20
+
+
+def test_whom_a_link_speaks_to_is_known_before_it_was_heard() -> None:
+    with ExitStack() as stack:
+        vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        vehicle.bind(("127.0.0.1", 0))
+        link = stack.enter_context(open_udp(f"udpout://127.0.0.1:{_port_of(vehicle)}"))
+        link.know([])  # nobody was heard yet
+        where = ("127.0.0.1", _port_of(link.socket))
+        for _ in range(20):
+            other.sendto(bytes(1_000), where)
+        vehicle.sendto(b"hello", where)
+        assert arrived_on(link)[0] == (link.peers()[0], b"hello")
 
 
 def test_who_moves_to_another_port_is_heard_there_and_known_then() -> None:

@@ -74,7 +74,7 @@ def vehicles(
 
         now_ns = talk(links, clock, seconds, receive=receive, outgoing=outgoing, interrupts=interrupts)
         broken = [f"link {link.url}: {link.state}" for link in links if link.state]
-        troubles = broken.copy()
+        troubles = broken + [f"link {link.url}: left out: {link.left_out}" for link in links if link.left_out]
         if gate is not None:
             gate.close()
             troubles += gate.words([address.url for address in addresses], {})

@@ -26,7 +26,7 @@ from groundstation.gateway.bridge import Bridge
 from groundstation.gateway.handover import Handover, RoomWord, read, read_room
 from groundstation.gateway.orders import Order
 from groundstation.gateway.relay import Relay
-from groundstation.links.link import Link
+from groundstation.links.link import LONGEST_OF_A_ROOM, Link
 from groundstation.links.opening import open_link
 from groundstation.mavlink.codec import Frame, Splitters
 from groundstation.mocap.bodies import RoomConfig
@@ -290,7 +290,7 @@ def _room(
     if word is None:
         return None
     try:
-        link = stack.enter_context(closing(open_link(word.link)))
+        link = stack.enter_context(closing(open_link(word.link, LONGEST_OF_A_ROOM)))
     except UserError as error:
         say(f"{error}; where vehicles are is told to them by the flight alone")
         return None
