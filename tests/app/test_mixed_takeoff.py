@@ -10,7 +10,7 @@ from tests.app.flights import Flight, mission
 
 
 def test_one_that_is_blown_off_while_the_other_still_stands_keeps_away_from_it() -> None:
-    """In 8 m/s, which was allowed, mixed8 came to 2.0 m, these two to 2.7 m; found by the adversary (seed 91, run 1149)."""
+    """In 8 m/s, which was allowed, mixed8 came to 2.0 m, these two to 2.7 m (adversary, seed 91, run 1149)."""
     kinds = ("vehicles.1.autopilot=arducopter", "vehicles.1.profile=arducopter")
     fence = ("fence={min_m: [-20, -20, 0], max_m: [20, 20, 20]}", "speed_limit_m_s=1.5", "takeoff.height_m=6")
     plan = mission("first_flight2", *kinds, *fence, "avoidance={radius_m: 3.0, activation_m: 4.0}", "wind={}")
