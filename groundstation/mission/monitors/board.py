@@ -74,6 +74,8 @@ class Board:
             self._contradictions, self._traffic,
         )  # fmt: skip
         self._losses = Losses(plan)
+        self._held_modes = Modes(plan)  # of its own: what is so while they are taken over counts for nothing later
+        self._onto_held = Sinking(plan, self._held_modes)
 
     @property
     def blind(self) -> BoolArray:
@@ -187,6 +189,16 @@ class Board:
         for finding, reaction in found:
             self._tell(finding, reaction, findings, sight, others=others)
         return findings
+
+    def look_at_held(self, sight: Sight) -> list[str]:
+        """Words for those that come down onto somebody while a take-over lets everybody stand still.
+
+        Args:
+            sight: what is to be seen; nobody is steered.
+        """
+        list(self._held_modes.look(sight, sight.ours))  # what it finds is the take-over's to tell
+        found = self._onto_held.look(sight, sight.ours)
+        return [f"vehicle {sight.fleet.ids[finding.vehicles[0]]}: {finding.what}" for finding in found]
 
     def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, roster: Duties, now_ns: int) -> Poses:
         """Marks whoever is not steered by us: as one that may come down, and as larger than it is.
