@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mavlink.codec import FrameSplitter, message_id
 from groundstation.mission.runner import Phase
@@ -267,6 +268,57 @@ def test_a_wrong_anchor_is_given_to_nobody_and_the_right_mission_flies_afterward
         right = Listening(pair(*ANCHORED, autopilots=PX4_TWICE), world=flight.world)
         _assert_flown(right)
         assert right.origins >= 2
+
+
+@pytest.mark.parametrize("lat_deg", [151.2, -118.0])
+def test_a_latitude_that_can_only_be_a_longitude_is_asked_about(lat_deg: float) -> None:
+    with pytest.raises(UserError) as refused:
+        pair(f"anchor.lat_deg={lat_deg}", "anchor.lon_deg=-33.9", "anchor.alt_m=10.0")
+    asked = "expected -89 to 89 (are anchor.lat_deg and anchor.lon_deg swapped?)"
+    assert str(refused.value).endswith(f"anchor.lat_deg: {asked}, got {lat_deg}")
+
+
+def test_an_anchor_just_beyond_the_limit_is_told_with_figures_that_differ() -> None:
+    """It was "3 km from its pad, limit 3 km"."""
+    changes = ("anchor.lat_deg=47.42474", *ANCHORED[1:], "limits.preflight_s=12")
+    flight = Listening(pair(*changes, autopilots=PX4_TWICE), change=_in_zurich)
+    assert ", 3.002 km from its pad by the mission's anchor (47.42474, 8.54559), limit 3 km" in flight.runner.reason
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+@pytest.mark.parametrize(
+    ("alt_m", "given", "says"),
+    [
+        (0.0, False, "488 m above its pad by anchor.alt_m (0 m)"),
+        (700.0, False, "212 m below its pad by anchor.alt_m (700 m)"),
+        (440.0, True, "48 m above its pad by anchor.alt_m (440 m)"),
+    ],
+)
+def test_an_anchor_at_a_wrong_height_is_named_and_one_far_off_is_given_to_nobody(
+    alt_m: float, given: bool, says: str, autopilot: str
+) -> None:
+    """By heights above the ellipsoid it is 48 m off here, which is for the pads to tell."""
+    changes = (*ANCHORED[:2], f"anchor.alt_m={alt_m}", "set_gps_origin=true", "limits.preflight_s=15")
+    twice = (autopilot, autopilot)
+    flight = Listening(pair(*changes, autopilots=twice), change=_in_zurich)
+    _assert_on_the_ground(flight)
+    assert flight.runner.outcome == "refused"
+    assert f"its GPS says 488 m above sea level, {says}" in flight.runner.reason
+    assert "correct anchor.alt_m, or wait for its GPS (heights above the ellipsoid" in flight.runner.reason
+    assert (flight.origins > 0) == (given and autopilot == "px4")  # ArduPilots have an origin of their own
+    right = Listening(pair(*ANCHORED, autopilots=twice), world=flight.world)
+    _assert_flown(right)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+@pytest.mark.parametrize("north_deg", [0.00027, 0.018])
+def test_an_anchor_that_is_off_by_less_than_kilometres_is_named_on_the_pads(north_deg: float, autopilot: str) -> None:
+    changes = (f"anchor.lat_deg={47.39774 + north_deg}", *ANCHORED[1:], "limits.preflight_s=12")
+    flight = Listening(pair(*changes, autopilots=(autopilot, autopilot)), change=_in_zurich)
+    _assert_on_the_ground(flight)
+    assert flight.runner.outcome == "refused"
+    assert "correct pad_m, or anchor.lat_deg and anchor.lon_deg" in flight.runner.reason
+    assert flight.origins == 0
 
 
 def test_a_wrong_origin_that_somebody_has_written_is_corrected_by_the_right_mission() -> None:
