@@ -20,6 +20,7 @@ from tests.mavlink.sender import (
     COMPANION,
     DISARMED,
     FIXED_WING,
+    IN_AIR,
     INVALID,
     LAND,
     LOITER,
@@ -215,6 +216,25 @@ def test_an_autopilot_on_component_2_is_told_by_name() -> None:
     flight = Flight(pair("limits.preflight_s=3", autopilots=PX4_TWICE), tamper=as_second)
     _assert_on_the_ground(flight)
     assert "vehicle 1: no heartbeat on udpin://0.0.0.0:14540; heard as component 2, and an" in flight.runner.reason
+
+
+def test_one_that_has_landed_and_whose_landed_state_stays_in_the_air_is_told_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It was "no heartbeat for 12 s", though one came each second, and "still armed"."""
+    monkeypatch.setattr("groundstation.mission.phases.come_down._DOWN_MAX_NS", 25 * SECOND_NS)
+    sender = Sender(1)
+    stuck = _instead(LANDED, lambda: sender.landed(IN_AIR), lambda flight: flight.runner.phase is Phase.LAND)
+    flight = Flight(pair("limits.preflight_s=20", autopilots=PX4_TWICE), tamper=stuck)
+    assert flight.runner.outcome == "aborted"
+    assert not flight.world.truth.armed.any()
+    says = "its heartbeats say disarmed for 12 s, its landed state that it flies; whether it is armed is not known"
+    assert f"vehicle 1: {says}; everybody comes back" in flight.runner.reason
+    late = "vehicle 1: after 25 s of landing its heartbeats say disarmed, its landed state that it flies, its position"
+    assert f"{late} stands " in flight.runner.reason
+    assert "above its pad: it has landed, most likely; setpoints stop now; keep away, look" in flight.runner.reason
+    for false in ("no heartbeat", "still armed", "vehicle 2"):
+        assert false not in flight.runner.reason
 
 
 # Origins
