@@ -121,7 +121,7 @@ class Lookout:
         if findings.aborts:
             reason = self._blame.of(findings.aborts, team.verdict.reason)
             if reason:  # otherwise it only follows from one that was given before
-                team.verdict.abort(reason)
+                team.verdict.abort(reason, instead_of=self._blame.outdated)
             machine.happen(Event.GIVE_UP_NOW if findings.urgent else Event.GIVE_UP, now_ns)
         if findings.silence:
             machine.give_up(findings.silence, now_ns, Event.SILENCE)

@@ -45,6 +45,7 @@ _CONSEQUENCES = {
     Reaction.FAILED: "",
     Reaction.SILENCE: "setpoints end, the autopilots' own failsafe takes over",
 }
+_STAYS = "it stays where it lies"
 _SEVERAL_LAND = "they land where they are when nobody is below"
 
 
@@ -247,6 +248,8 @@ class Board:
         if finding.pair and len(ids) > 1:
             names = f"vehicles {ids[0]} and {ids[1]}"
         consequence = _consequence(reaction, several=len(rows) > 1, going_on=sight.going_on, others=others)
+        if finding.lies and reaction is Reaction.LAND:
+            consequence = consequence.replace(_CONSEQUENCES[Reaction.LAND], _STAYS)
         what = (f"{names}: " if names else "") + finding.what
         subject = names if len(ids) == 1 else what
         text = what + (f"; {consequence}" if consequence else "")
