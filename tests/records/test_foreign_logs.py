@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import operator
 import struct
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +139,7 @@ def test_stamps_that_hardly_go_on_are_told_by_the_vehicles_times(
     (note,) = read_tlog(Station(tmp_path / "a.tlog", clock, sysids=sysids).record(20)).notes
     assert note.startswith(f"the vehicles' own times go on by 19.9 s, the time stamps by {by_stamps} s: the clock ")
     for rate in (0.8, 1.0, 1.3):
-        assert not read_tlog(Station(tmp_path / "b.tlog", lambda t, rate=rate: rate * t).record(20)).notes
+        assert not read_tlog(Station(tmp_path / "b.tlog", partial(operator.mul, rate)).record(20)).notes
 
 
 def test_messages_that_tell_of_a_little_earlier_in_turns_make_no_slow_clock(tmp_path: Path) -> None:
