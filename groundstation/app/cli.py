@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 
 import typer
@@ -50,6 +51,21 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("bench", "Measure speed, as ratios in one run."),
 }
 """Command name: module in ``groundstation.app.commands``, help for the overview."""
+
+_NAMES_FILE = ("-o", "--output", "--log", "--picture", "--graph-file", "--file", "-f")
+"""Options that name a file or a folder; an empty name would stand for the folder one is in."""
+
+
+def refuse_empty_names(arguments: Sequence[str]) -> None:
+    """Makes sure that no option that names a file or a folder is followed by nothing.
+
+    Raises:
+        UserError: names the option.
+    """
+    for option, value in zip(arguments, [*arguments[1:], None], strict=True):
+        name = option.removesuffix("=")
+        if name in _NAMES_FILE and (name != option or value == ""):
+            raise UserError(f"{name}: its name is empty; name a file, or a folder where it takes one")
 
 
 def _nothing() -> None:
@@ -136,6 +152,7 @@ def main() -> None:
     try:
         if called is not None and called not in COMMANDS and COMPLETE_VARIABLE not in os.environ:
             raise UserError(f"gs {called}: {unknown(called, COMMANDS)}")
+        refuse_empty_names(arguments)
         ended = build(called)(args=arguments, prog_name="gs", complete_var=COMPLETE_VARIABLE, standalone_mode=False)
         if ended == STOPPED:
             sys.stderr.write(STOPPED_WORDS)

@@ -64,8 +64,14 @@ def find_log(path: Path) -> Path:
 
 
 def log_to_write(path: Path) -> Path:
-    """The log that a name stands for: ``.tlog`` may be left out here too."""
-    return path.with_name(f"{path.name}.tlog") if path.name and not path.suffix else path
+    """The log that a name stands for: ``.tlog`` may be left out here too, but of devices and pipes."""
+    bare = path.name not in ("", "..") and not path.suffix and not _is_special(path)
+    return path.with_name(f"{path.name}.tlog") if bare else path
+
+
+def _is_special(path: Path) -> bool:
+    """Whether there is something of this name that is neither a file nor a folder: /dev/null, a pipe."""
+    return exists(path) and not (is_file(path) or path.is_dir() or path.is_symlink())
 
 
 def _logs_in(folder: Path) -> list[Path]:

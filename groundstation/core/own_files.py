@@ -18,7 +18,34 @@ from pathlib import Path
 from groundstation.core.errors import UserError
 
 _MADE = os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+_NAME_MAX = 255  # bytes of one name, of all usual disks
+_PART = ".{}.part"  # what a file is called until it is whole
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
+
+
+def require_name(path: Path, what: str, remedy: str) -> None:
+    """Makes sure that a file can have this name, before anything is done for what it is to hold.
+
+    Args:
+        path: the file; it need not exist.
+        what: it is, for the message: "the log".
+        remedy: how another one is named, for the message: "another file with -o".
+
+    Raises:
+        UserError: the name of a folder alone, too long a name, or one that the system does not take.
+    """
+    if path.name in ("", ".."):
+        raise UserError(f"{path}: is a folder, expected a file for {what}; name {remedy}")
+    size, most = len(os.fsencode(path.name)), _NAME_MAX - len(_PART.format(""))
+    if size > most:
+        raise UserError(f"{path}: the name of {what} has {size} bytes, limit {most}; name {remedy}")
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise UserError(f"{path}: cannot be used for {what}: {why}; name {remedy}") from error
 
 
 def refuse_links(path: Path, what: str) -> None:
@@ -65,8 +92,9 @@ def claim(path: Path, what: str, remedy: str, *, ours: Callable[[], bool], force
         Whether a file that is there will be replaced.
 
     Raises:
-        UserError: a link, or a file that is to be kept.
+        UserError: no name for a file, a link, or a file that is to be kept.
     """
+    require_name(path, what, remedy)
     refuse_links(path, what)
     if not path.exists():
         return False
@@ -170,7 +198,7 @@ def write_whole(path: Path, content: bytes, *, mode: int = 0o666, durable: bool 
     """
     if path.is_symlink():
         raise OSError(errno.ELOOP, "is a symbolic link, and nothing is written through links; remove it")
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(_PART.format(path.name))
     with contextlib.suppress(FileNotFoundError):
         part.unlink()  # of a program that was killed; a link goes, and what it leads to stays
     descriptor = os.open(part, os.O_WRONLY | _MADE, mode)

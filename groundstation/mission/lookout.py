@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.core.metrics import min_clearance, min_distance_m
+from groundstation.core.phases import Phase
 from groundstation.core.quick import some
 from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.flight.intruders import intruders, with_bodies
@@ -62,6 +63,8 @@ class Lookout:
     def watch_the_ground(self, poses: Poses, now_ns: int) -> None:
         """While nobody can be told anything: tells of those that come to the ground hard.
 
+        While vehicles are taken over, also of those that come down onto others, which stand still as they are told.
+
         Args:
             poses: of the team.
             now_ns: time of the tick.
@@ -73,6 +76,10 @@ class Lookout:
             team.verdict.note("alarm", text)
         for text in findings.failed:
             team.verdict.abort(text)
+        if self._machine.phase is Phase.TAKEOVER:
+            nobody = np.zeros_like(sight.steered)
+            for text in team.board.look_at_held(replace(sight, steered=nobody, lands_here=nobody)):
+                team.verdict.note("alarm", text)
 
     def _sight(self, poses: Poses, pose_ns: IntArray, sent_ned_m_s: FloatArray, now_ns: int) -> Sight:
         team, board, roster = self._team, self._team.board, self._team.roster
@@ -114,7 +121,7 @@ class Lookout:
         if findings.aborts:
             reason = self._blame.of(findings.aborts, team.verdict.reason)
             if reason:  # otherwise it only follows from one that was given before
-                team.verdict.abort(reason)
+                team.verdict.abort(reason, instead_of=self._blame.outdated)
             machine.happen(Event.GIVE_UP_NOW if findings.urgent else Event.GIVE_UP, now_ns)
         if findings.silence:
             machine.give_up(findings.silence, now_ns, Event.SILENCE)

@@ -125,10 +125,17 @@ class Verdict:
         """Takes what is not well at the moment."""
         self.problems = problems
 
-    def abort(self, reason: str) -> None:
-        """Notes why the mission is not completed; a later reason is added to the first."""
+    def abort(self, reason: str, *, instead_of: str = "") -> None:
+        """Notes why the mission is not completed; a later reason is added to the first.
+
+        Args:
+            reason: in words.
+            instead_of: words told before that it takes the place of.
+        """
         if reason in self.reason:
             return
+        if instead_of:
+            self.reason = self.reason.replace(f"; {instead_of}", "", 1)
         self.outcome = "aborted"
         self.reason = f"{self.reason}; {reason}" if self.reason else reason
         self.note("alarm", f"aborted: {reason}")

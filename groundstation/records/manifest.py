@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.core.errors import UserError
-from groundstation.core.own_files import claim, refuse_links, write_whole
+from groundstation.core.own_files import claim, refuse_links, require_name, write_whole
 
 Values = Mapping[str, Any]
 """Plain values by key, as JSON has them: a mission, a result."""
@@ -219,8 +219,11 @@ def claim_log(log: Path, ours: Callable[[Manifest], bool], *, option: str = "--l
     Raises:
         UserError: another ending, a log that has to be kept, or a folder that cannot be made.
     """
-    if log.suffix != ".tlog":
+    if log.name and log.name != ".." and log.suffix != ".tlog":
         raise UserError(f"{log}: logs end in .tlog; call it {log.with_suffix('.tlog')}")
+    remedy = f"another file with {option}"
+    require_name(log, "the log", remedy)
+    require_name(manifest_path(log), "the manifest beside the log", remedy)
     refuse_links(manifest_path(log), "the manifest")
     there = _usable_manifest(log)
     if log.exists() and there is not None and there.of_vehicles:
@@ -228,7 +231,6 @@ def claim_log(log: Path, ours: Callable[[Manifest], bool], *, option: str = "--l
             f"{log}: exists, and vehicles flew it: it cannot be had again; name another file with {option}, or move it"
             " away"
         )
-    remedy = f"another file with {option}"
     replaced = claim(log, "the log", remedy, ours=lambda: there is not None and ours(there), force=force)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)

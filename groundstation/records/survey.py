@@ -33,6 +33,7 @@ _WINDOW_US = 5_000_000
 _FOR_GOOD_US = 60_000_000  # no link is late for as long
 _BACK_US = 1_000_000  # boot times that run back further belong to a new start
 _PAUSE_US = 10_000_000
+_SLOW_SHARE, _SLOW_LEAST_US = 0.5, 2_000_000  # of the time that passed for vehicles, at least
 _STEPS_MAX = 4_000  # that vehicles tell of, together: no clock is set as often, and looking at all of them takes long
 _BLOCK = 64
 _NAMES_MAX = 12
@@ -249,6 +250,7 @@ class Survey:
                 f"the time stamps run back by {back_s:.2f} s after {since_s:.1f} s and no vehicle's own time tells why;"
                 f" the last {self.frames - cut} of {self.frames} frames are left out"
             )
+        self._tell_slow_stamps(ours[:cut], clocks)
         known = np.zeros(self.frames, dtype=np.bool_)
         for at, boot in clocks:
             for k in np.flatnonzero(np.diff(boot) > _PAUSE_US - _STEP_US).tolist():
@@ -261,6 +263,28 @@ class Survey:
                 " log was set; no vehicle's own time tells which, and the duration counts it"
             )
         return cut
+
+    def _tell_slow_stamps(self, ours: IntArray, clocks: Sequence[tuple[IntArray, IntArray]]) -> None:
+        """Tells of stamps that hardly go on while vehicles' times do: all 0, in milliseconds, of a computer that slept.
+
+        Where they go on quicker nothing is told: who starts anew, or is not heard for a while, looks like that.
+        """
+        slow: list[tuple[float, float]] = []
+        for at, boot in clocks:
+            heard = int(np.searchsorted(at, len(ours)))
+            if heard > 1:
+                runs = [part for part in _runs(boot) if part.start < heard]
+                by_itself = sum(int(boot[part][: heard - part.start].max() - boot[part.start]) for part in runs)
+                by_stamps = int(ours[at[heard - 1]] - ours[at[0]])
+                if by_itself > _SLOW_LEAST_US and by_stamps < _SLOW_SHARE * by_itself:
+                    slow.append((by_itself / 1e6, by_stamps / 1e6))
+        if 2 * len(slow) > len(clocks):
+            own_s, stamps_s = max(slow)
+            self.notes.append(
+                f"the vehicles' own times go on by {own_s:.1f} s, the time stamps by {stamps_s:.2f} s: the clock that"
+                " stamped the log stood still, counts in other units than microseconds, or a simulator ran quicker;"
+                " times and speeds by it are wrong, record it anew"
+            )
 
 
 def _steps(stamps: IntArray, clocks: Sequence[tuple[IntArray, IntArray]]) -> list[Step]:
@@ -291,6 +315,12 @@ def _steps(stamps: IntArray, clocks: Sequence[tuple[IntArray, IntArray]]) -> lis
     return sorted(found)
 
 
+def _runs(boot: IntArray) -> list[slice]:
+    """One vehicle's times from each start of it to the next."""
+    starts = [0, *(np.flatnonzero(np.diff(boot) < -_BACK_US) + 1).tolist(), len(boot)]
+    return [slice(start, stop) for start, stop in itertools.pairwise(starts)]
+
+
 def _steps_of(at: IntArray, stamp: IntArray, boot: IntArray) -> Iterator[tuple[int, int, int, int]]:
     """Where one vehicle's time and the stamps come apart for good.
 
@@ -300,8 +330,7 @@ def _steps_of(at: IntArray, stamp: IntArray, boot: IntArray) -> Iterator[tuple[i
 
     Gives the records before and behind it, by how much, and the vehicle's time between them.
     """
-    starts = [0, *(np.flatnonzero(np.diff(boot) < -_BACK_US) + 1).tolist(), len(boot)]
-    for start, stop in itertools.pairwise(starts):
+    for start, stop in ((part.start, part.stop) for part in _runs(boot)):
         own, ahead = boot[start:stop], stamp[start:stop] - boot[start:stop]
         apart = np.flatnonzero(np.abs(np.diff(ahead)) > _STEP_US)
         if not len(apart):

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from groundstation.core.errors import UserError
 from groundstation.mavlink.codec import Frame as WireFrame
 from groundstation.mavlink.codec import FrameSplitter, message_id
 from groundstation.mission.runner import Phase
@@ -19,6 +20,7 @@ from tests.mavlink.sender import (
     COMPANION,
     DISARMED,
     FIXED_WING,
+    IN_AIR,
     INVALID,
     LAND,
     LOITER,
@@ -216,6 +218,25 @@ def test_an_autopilot_on_component_2_is_told_by_name() -> None:
     assert "vehicle 1: no heartbeat on udpin://0.0.0.0:14540; heard as component 2, and an" in flight.runner.reason
 
 
+def test_one_that_has_landed_and_whose_landed_state_stays_in_the_air_is_told_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It was "no heartbeat for 12 s", though one came each second, and "still armed"."""
+    monkeypatch.setattr("groundstation.mission.phases.come_down._DOWN_MAX_NS", 25 * SECOND_NS)
+    sender = Sender(1)
+    stuck = _instead(LANDED, lambda: sender.landed(IN_AIR), lambda flight: flight.runner.phase is Phase.LAND)
+    flight = Flight(pair("limits.preflight_s=20", autopilots=PX4_TWICE), tamper=stuck)
+    assert flight.runner.outcome == "aborted"
+    assert not flight.world.truth.armed.any()
+    says = "its heartbeats say disarmed for 12 s, its landed state that it flies; whether it is armed is not known"
+    assert f"vehicle 1: {says}; everybody comes back" in flight.runner.reason
+    late = "vehicle 1: after 25 s of landing its heartbeats say disarmed, its landed state that it flies, its position"
+    assert f"{late} stands " in flight.runner.reason
+    assert "above its pad: it has landed, most likely; setpoints stop now; keep away, look" in flight.runner.reason
+    for false in ("no heartbeat", "still armed", "vehicle 2"):
+        assert false not in flight.runner.reason
+
+
 # Origins
 
 
@@ -267,6 +288,57 @@ def test_a_wrong_anchor_is_given_to_nobody_and_the_right_mission_flies_afterward
         right = Listening(pair(*ANCHORED, autopilots=PX4_TWICE), world=flight.world)
         _assert_flown(right)
         assert right.origins >= 2
+
+
+@pytest.mark.parametrize("lat_deg", [151.2, -118.0])
+def test_a_latitude_that_can_only_be_a_longitude_is_asked_about(lat_deg: float) -> None:
+    with pytest.raises(UserError) as refused:
+        pair(f"anchor.lat_deg={lat_deg}", "anchor.lon_deg=-33.9", "anchor.alt_m=10.0")
+    asked = "expected -89 to 89 (are anchor.lat_deg and anchor.lon_deg swapped?)"
+    assert str(refused.value).endswith(f"anchor.lat_deg: {asked}, got {lat_deg}")
+
+
+def test_an_anchor_just_beyond_the_limit_is_told_with_figures_that_differ() -> None:
+    """It was "3 km from its pad, limit 3 km"."""
+    changes = ("anchor.lat_deg=47.42474", *ANCHORED[1:], "limits.preflight_s=12")
+    flight = Listening(pair(*changes, autopilots=PX4_TWICE), change=_in_zurich)
+    assert ", 3.002 km from its pad by the mission's anchor (47.42474, 8.54559), limit 3 km" in flight.runner.reason
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+@pytest.mark.parametrize(
+    ("alt_m", "given", "says"),
+    [
+        (0.0, False, "488 m above its pad by anchor.alt_m (0 m)"),
+        (700.0, False, "212 m below its pad by anchor.alt_m (700 m)"),
+        (440.0, True, "48 m above its pad by anchor.alt_m (440 m)"),
+    ],
+)
+def test_an_anchor_at_a_wrong_height_is_named_and_one_far_off_is_given_to_nobody(
+    alt_m: float, given: bool, says: str, autopilot: str
+) -> None:
+    """By heights above the ellipsoid it is 48 m off here, which is for the pads to tell."""
+    changes = (*ANCHORED[:2], f"anchor.alt_m={alt_m}", "set_gps_origin=true", "limits.preflight_s=15")
+    twice = (autopilot, autopilot)
+    flight = Listening(pair(*changes, autopilots=twice), change=_in_zurich)
+    _assert_on_the_ground(flight)
+    assert flight.runner.outcome == "refused"
+    assert f"its GPS says 488 m above sea level, {says}" in flight.runner.reason
+    assert "correct anchor.alt_m, or wait for its GPS (heights above the ellipsoid" in flight.runner.reason
+    assert (flight.origins > 0) == (given and autopilot == "px4")  # ArduPilots have an origin of their own
+    right = Listening(pair(*ANCHORED, autopilots=twice), world=flight.world)
+    _assert_flown(right)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "arducopter"])
+@pytest.mark.parametrize("north_deg", [0.00027, 0.018])
+def test_an_anchor_that_is_off_by_less_than_kilometres_is_named_on_the_pads(north_deg: float, autopilot: str) -> None:
+    changes = (f"anchor.lat_deg={47.39774 + north_deg}", *ANCHORED[1:], "limits.preflight_s=12")
+    flight = Listening(pair(*changes, autopilots=(autopilot, autopilot)), change=_in_zurich)
+    _assert_on_the_ground(flight)
+    assert flight.runner.outcome == "refused"
+    assert "correct pad_m, or anchor.lat_deg and anchor.lon_deg" in flight.runner.reason
+    assert flight.origins == 0
 
 
 def test_a_wrong_origin_that_somebody_has_written_is_corrected_by_the_right_mission() -> None:

@@ -164,6 +164,56 @@ def test_every_command_that_writes_a_file_keeps_the_one_rule(
     assert file.read_bytes()[:8] == own[:8]
 
 
+_NAMED = {
+    **{name: (suffix, [*typed, option]) for name, (suffix, typed, option) in _WRITERS.items()},
+    "export": ("csv", ["export", "flown.tlog", "--to", "csv", "-o"]),
+    "report": ("", ["report", "flown.tlog", "-o"]),
+    "compare": ("", ["compare", "flown.tlog", "flown.tlog", "-o"]),
+    "campaign": ("", ["campaign", "--mission", "first_flight2", "--runs", "1", "-o"]),
+    "campaign log": ("tlog", ["campaign", "--mission", "first_flight2", "--only", "0", "--log"]),
+    "params": ("params", ["params", "save", "--mission", "first_flight2", "--file"]),
+}
+"""Commands that write where they are told: the suffix of one file, and what is typed before its name."""
+
+_NAMELESS = [
+    (name, called)
+    for name, (suffix, typed) in _NAMED.items()
+    for called in ("nothing", "nothing, joined", "a folder", "the folder above", "long", "longer", "device")
+    if (suffix or called not in ("a folder", "the folder above", "long"))  # those that want a folder
+    and (typed[-1].startswith("--") or called != "nothing, joined")
+]
+
+
+@pytest.mark.parametrize(("name", "called"), _NAMELESS)
+def test_a_name_that_no_file_can_have_is_refused_before_anything_is_written(
+    name: str, called: str, tmp_path: Path, monkeypatch: Patch, capsys: Captured
+) -> None:
+    inside = tmp_path / "inside"
+    (inside / "recorded").mkdir(parents=True)
+    monkeypatch.chdir(inside)
+    flown = FOLDER / "completed"
+    Path("flown.tlog").write_bytes(lzma.decompress(flown.with_suffix(".tlog.xz").read_bytes()))
+    Path("flown.manifest.json").write_bytes(flown.with_suffix(".manifest.json").read_bytes())
+    suffix, typed = _NAMED[name]
+    end = f".{'tlog' if suffix == 'log' else suffix}" if suffix else ""
+    file = {
+        "nothing": "",
+        "nothing, joined": "",
+        "a folder": ".",
+        "the folder above": "..",
+        "long": "x" * (250 - len(end)) + end,  # there is such a name, but none for the file that is to take it
+        "longer": "x" * 300 + end,
+        "device": "/dev/null",
+    }[called]
+    before = sorted(tmp_path.rglob("*"))
+    line = [*typed[:-1], f"{typed[-1]}="] if called == "nothing, joined" else [*typed, file]
+    code, _, err = gs([*line, "--force"], monkeypatch, capsys)
+    said = " ".join(err.split())
+    assert (code, said.startswith("gs: ")) == (2, True)
+    assert (file or f"gs: {typed[-1]}: its name is empty") in said
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_every_command_that_writes_takes_force() -> None:
     from tests.docs.pages import click_commands
 

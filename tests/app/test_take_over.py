@@ -15,9 +15,11 @@ from groundstation.mavlink.codec import Batch, Frame, FrameSplitter, decode, mes
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.purpose import Purpose
 from groundstation.mission.runner import Phase, Runner
+from sitl.faults import Fault
 from sitl.personalities.px4.modes import LAND, POSCTL
 from sitl.world import Outgoing, World
 from tests.app.flights import SECOND_NS, Flight, cube8, four, mission, pair, still_in
+from tests.app.test_who_lands_where import MOVED
 
 SETPOINT = message_id("SET_POSITION_TARGET_LOCAL_NED")
 DO_SET_MODE, COMPONENT_ARM_DISARM = 176, 400
@@ -185,6 +187,20 @@ def test_one_that_comes_down_by_its_failsafe_while_it_is_taken_over_is_told() ->
     assert "vehicle 1: has come down by its own failsafe before it could be brought home" in flight.runner.reason
     assert np.delete(_off_pads_m(flight), 0).max() < 0.3
     _assert_home(flight)
+
+
+def test_one_that_comes_down_onto_another_while_they_are_taken_over_is_told_and_that_nobody_leaves() -> None:
+    def one_runs_down(world: World) -> None:
+        _holds(world)
+        world.inject(Fault("battery_level", 0.0, vehicles=(2,), numbers={"percent": 5.0}))
+
+    plan = cube8(MOVED)  # the second above the first
+    world = _left_in_the_air(plan, still_in(Phase.HOLD, 1.0), idle_s=0.5, prepare=one_runs_down)
+    flight = Flight(plan, world=world, take_over=True)
+    told = [note for note in flight.notes if "comes down by itself" in note.text]
+    assert [note.kind for note in told] == ["alarm"]
+    assert told[0].text.startswith("vehicle 2: comes down by itself, vehicle 1 is ")
+    assert told[0].text.endswith(" beside, and cannot be told to leave; keep people away")
 
 
 def test_where_nobody_tells_its_home_the_missions_own_word_is_taken_and_people_are_told() -> None:

@@ -5,16 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from groundstation.app.verify import verify_log
 from groundstation.mavlink.codec import Encoder, message_id
 from groundstation.mission.reasons.blame import Blame
 from groundstation.mission.runner import Phase
+from groundstation.mission.verdict import Verdict
 from sitl.faults import Fault
 from sitl.world import Outgoing
-from tests.app.flights import SECOND_NS, Flight, pair, still_in
+from tests.app.flights import SECOND_NS, Flight, after, four, pair, still_in
 from tests.app.test_preflight import PARAM_SET, Checked, _defaults, _without
 from tests.app.test_take_over import _holds, _left_in_the_air
+from tests.mavlink.sender import Sender
 
 REMEDY = "take it over (gs fly --take-over) or fly it down"
 LANDED = message_id("EXTENDED_SYS_STATE")
@@ -115,6 +118,23 @@ def test_everybody_that_a_fault_strikes_at_once_is_in_the_reason(kind: str) -> N
     assert "come back" not in flight.runner.reason, flight.runner.reason
 
 
+def test_of_one_that_has_fallen_down_nobody_says_that_it_is_going_to_land() -> None:
+    """It was "has hit the ground at 5.0 m/s ...; it lands where it is when nobody is below"."""
+    other, holds, said = Sender(250, 190), after(Phase.HOLD, 0.5), list[int]()
+
+    def stop_in_the_air(flight: Flight) -> bool:
+        if holds(flight) and not said:
+            said.append(flight.now_ns)
+            stop = dialect.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0)  # disarm, by force
+            flight.world.receive(0, other.raw(stop), flight.world.now_ns)
+        return False
+
+    flight = Flight(four(), interrupt_when=stop_in_the_air)
+    (hit,) = [text for text in flight.texts("alarm") if text.startswith("vehicle 1: has hit the ground at ")]
+    assert hit.endswith("before it flies again; it stays where it lies, the others come back")
+    assert "it lands where it is" not in flight.runner.reason
+
+
 def test_of_many_the_first_few_are_told_in_full_and_the_others_by_number() -> None:
     blame = Blame()
     aborts = {f"vehicle {k}": f"vehicle {k}: is gone" for k in range(1, 8)}
@@ -124,11 +144,24 @@ def test_of_many_the_first_few_are_told_in_full_and_the_others_by_number() -> No
         "vehicle 2: is gone; vehicle 3: is gone; vehicle 4: is gone; vehicles 5, 6, 7 too, see the alarms"
     )
     assert blame.of(aborts, reason) == ""
-    assert (
-        blame.of({"link a": "link a: is silent", "vehicle 9": ""}, "")
-        == "vehicle 9 and 1 more finding too, see the alarms"
-    )
     assert Blame().of({"vehicle 3": "vehicle 3: low"}, "vehicle 3: landed by the operator; vehicle 30: x") == ""
+
+
+def test_findings_that_are_only_counted_are_counted_once() -> None:
+    """It was "3 more findings too, see the alarms; 1 more finding too, see the alarms"."""
+    blame, verdict = Blame(), Verdict()
+    ticks = (
+        {f"vehicle {k}": f"vehicle {k}: is gone" for k in range(1, 6)},
+        {"link a": "link a: is silent", "link b": "link b: is silent"},
+        {"vehicle 9": "vehicle 9: is gone"},
+    )
+    for aborts in ticks:
+        verdict.abort(blame.of(aborts, verdict.reason), instead_of=blame.outdated)
+        verdict.abort("stands still")  # others add theirs
+    assert verdict.reason == (
+        "vehicle 1: is gone; vehicle 2: is gone; vehicle 3: is gone; vehicle 4: is gone; stands still;"
+        " vehicles 5, 9 and 2 more findings too, see the alarms"
+    )
 
 
 # A check sets nothing unless it is told to

@@ -105,6 +105,8 @@ def test_batteries_have_to_hold_the_flight_and_the_way_home_alone() -> None:
     assert need.flight_s == flight_time_s(plan, failsafe)
     assert need.reserve == pytest.approx(failsafe.down_s / 360.0)  # more than battery_min
     assert need.share == need.flight + need.reserve
+    assert need.flight == pytest.approx(4.0 / 3.0 * need.flight_s / need.endurance_s)
+    assert f"{need.flight:.0%} to fly, a third on top in that (360 s of hovering" in need.words()
     longer = _mission("cube8", "steps.1.hold.seconds=105")
     assert flight_time_s(longer, make_failsafe(longer)) == pytest.approx(need.flight_s + 100.0)
     (old, *others) = battery_needs(_mission("cube8", "vehicles.0.endurance_s=180"), failsafe)

@@ -944,8 +944,13 @@ def _put_above(scene: Scene, beside_m: float) -> None:
     scene.run(0.1)
 
 
+def _tell_to_land(scene: Scene, row: int) -> None:
+    scene.roster.land([row], scene.now_ns)
+    scene.roster.tell_to_land(row, scene.now_ns)
+
+
 @pytest.mark.parametrize("told_by", ["mode", "landed state"])
-@pytest.mark.parametrize("below", ["flies", "stands", "falls too"])
+@pytest.mark.parametrize("below", ["flies", "stands", "falls too", "was told to land"])
 def test_one_that_comes_down_by_itself_onto_somebody_is_told_at_once_with_both_names(told_by: str, below: str) -> None:
     scene = Scene()
     _put_above(scene, 0.05)
@@ -958,18 +963,22 @@ def test_one_that_comes_down_by_itself_onto_somebody_is_told_at_once_with_both_n
         scene.roster.release([3])
     elif below == "falls too":
         scene.fleet.landed_state[3] = LANDED_LANDING
+    elif below == "was told to land":
+        _tell_to_land(scene, 3)
     said = [text for text in scene.tick().alarms if "comes down by itself" in text]
     then = "which gets out of the way" if below == "flies" else "and cannot be told to leave; keep people away"
     assert said == [f"vehicle 7: comes down by itself, vehicle 4 is 0.9 m below and 0.05 m beside, {then}"]
     assert not [text for found in scene.run(1.0) for text in found.alarms if "comes down by itself" in text]
 
 
-@pytest.mark.parametrize("below", ["flies", "falls too", "is not ours either"])
+@pytest.mark.parametrize("below", ["flies", "falls too", "is not ours either", "was told to land"])
 def test_those_below_one_that_is_not_ours_are_told_that_it_comes_down(below: str) -> None:
     scene = Scene()
     _put_above(scene, 0.05)
     scene.roster.release([6] if below != "is not ours either" else [3, 6])
     scene.fleet.landed_state[[6, 3] if below == "falls too" else [6]] = LANDED_LANDING
+    if below == "was told to land":
+        _tell_to_land(scene, 3)
     said = [text for text in scene.tick().alarms if "comes down by itself" in text]
     then = "it gets out of the way" if below == "flies" else "it cannot be told to leave; keep people away"
     words = f"vehicle 4: vehicle 7 comes down by itself 0.9 m above and 0.05 m beside, {then}"

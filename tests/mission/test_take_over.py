@@ -76,6 +76,10 @@ def test_all_that_hover_are_held_and_brought_home() -> None:
 SPOILT: dict[str, tuple[Callable[[Scene], None], str]] = {
     "old heartbeat": (lambda scene: _set(scene.fleet.heartbeat_ns, scene.now_ns // 10), "last heartbeat "),
     "another autopilot": (lambda scene: _set(scene.fleet.autopilot, 3), "its heartbeat says MAV_AUTOPILOT 3; correct"),
+    "fixed wing": (
+        lambda scene: _set(scene.fleet.mav_type, 1),
+        "it says that it is a fixed wing (MAV_TYPE 1), and only",
+    ),
     "not told": (lambda scene: _set(scene.fleet.landed_state, 0), "has not told whether it is in the air"),
     "no attitude": (lambda scene: _set(scene.fleet.attitude_ns, -10 * SECOND_NS), "no attitude yet"),
     "no position": (lambda scene: _set(scene.fleet.pose_ns, 0), "no position yet"),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import operator
 import struct
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +125,29 @@ def test_a_clock_that_is_set_while_it_records_alters_no_figure(
     assert f"was set by {by_s:+.1f}"[:-1] in note
     assert "after 30.0 s" in note or "after 29.9 s" in note or "after 30.1 s" in note
     assert not any("the clock that" in note for note in straight.notes)
+
+
+@pytest.mark.parametrize(
+    ("clock", "by_stamps"),
+    [(lambda _t: 0.0, "0.00"), (lambda t: t / 1000.0, "0.02"), (lambda t: 0.3 * t, "5.97")],
+    ids=["stands", "milliseconds", "a quick simulator"],
+)
+@pytest.mark.parametrize("sysids", [(1,), (1, 2)])
+def test_stamps_that_hardly_go_on_are_told_by_the_vehicles_times(
+    sysids: Sequence[int], clock: Clock, by_stamps: str, tmp_path: Path
+) -> None:
+    (note,) = read_tlog(Station(tmp_path / "a.tlog", clock, sysids=sysids).record(20)).notes
+    assert note.startswith(f"the vehicles' own times go on by 19.9 s, the time stamps by {by_stamps} s: the clock ")
+    for rate in (0.8, 1.0, 1.3):
+        assert not read_tlog(Station(tmp_path / "b.tlog", partial(operator.mul, rate)).record(20)).notes
+
+
+def test_messages_that_tell_of_a_little_earlier_in_turns_make_no_slow_clock(tmp_path: Path) -> None:
+    station = Station(tmp_path / "a.tlog", sysids=(1,))
+    for tick in range(200):  # between the positions, each of 0.2 s before
+        message = dialect.MAVLink_attitude_message(round(1000 * (1000 + tick / 10 - 0.2)), 0, 0, 0, 0, 0, 0)
+        station.put(1, message, tick / 10 + 0.05)
+    assert not read_tlog(station.record(20)).notes
 
 
 def test_two_steps_are_both_put_right(tmp_path: Path) -> None:

@@ -72,7 +72,11 @@ def write_log(path: Path, ground: tuple[int, int], *, native: bool) -> None:
         dialect.MAVLink_statustext_message(6, b"Takeoff detected").pack(vehicle),
     ]
     station = orders(dialect.MAVLink(None, srcSystem=ground[0], srcComponent=ground[1]))
-    frames = says + station[1:] + says + station[:1]  # its heartbeat comes last: the whole log is looked at first
+    # Its heartbeat comes last: the whole log is looked at first.
+    _write(path, says + station[1:] + says + station[:1], native=native)
+
+
+def _write(path: Path, frames: list[bytes], *, native: bool) -> None:
     if native:
         with TlogWriter(path, 0) as writer:
             for k, frame in enumerate(frames):
@@ -99,6 +103,22 @@ def test_nothing_that_a_ground_station_sent_is_sent_again(
         told = " ".join(passing.words())
         for name in ("COMMAND_LONG 2", "SET_POSITION_TARGET_LOCAL_NED 1", "PARAM_SET 1", "SET_GPS_GLOBAL_ORIGIN 1"):
             assert name in told
+
+
+@pytest.mark.parametrize("native", [False, True], ids=["foreign", "ours"])
+def test_what_an_autopilot_itself_asks_of_others_is_not_sent_again(*, native: bool, tmp_path: Path) -> None:
+    """PX4 does send COMMAND_LONG, to cameras and gimbals; whoever hears it again obeys it as a vehicle's."""
+    path, vehicle = tmp_path / "flight.tlog", dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    says = [
+        dialect.MAVLink_heartbeat_message(2, 12, 0x81, 393216, 4, 3),
+        dialect.MAVLink_command_long_message(1, 1, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0),
+        dialect.MAVLink_command_long_message(0, 0, dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 0, 5),
+        dialect.MAVLink_local_position_ned_message(5000, 1, 2, -3, 0, 0, 0),
+    ]
+    _write(path, [message.pack(vehicle) for message in says], native=native)
+    frames, passing = sent_again(path)
+    assert names_and_senders(frames) == {("HEARTBEAT", 1, 1), ("LOCAL_POSITION_NED", 1, 1)}
+    assert any("system 1, component 1" in line and "COMMAND_LONG 2" in line for line in passing.words())
 
 
 def test_a_vehicle_that_hears_the_replay_stays_on_the_ground(tmp_path: Path) -> None:

@@ -50,8 +50,9 @@ class BatteryNeed:
     def words(self) -> str:
         """How it comes about."""
         return (
-            f"the mission of about {self.flight_s:.0f} s needs {self.share:.0%}: {self.flight:.0%} to fly"
-            f" ({self.endurance_s:g} s of hovering are a whole battery) and {self.reserve:.0%} in reserve"
+            f"the mission of about {self.flight_s:.0f} s needs {self.share:.0%}: {self.flight:.0%} to fly, a third on"
+            f" top in that ({self.endurance_s:g} s of hovering are a whole battery), and {self.reserve:.0%} in"
+            " reserve"
         )
 
 

@@ -22,7 +22,15 @@ _ASKS = 5  # unanswered, then the origin is taken from the two positions
 _OLD_NS = 15 * SECOND_NS  # narrow links tell a global position every few seconds
 _FAR_M = 3_000.0
 """No team flies so far from where its frame begins, and local positions, single floats, are coarse there."""
+_HEIGHT_OFF_M = 100.0
+"""So far heights of GPS and the anchor's may be apart before an origin is given: both may be above the ellipsoid."""
 _FAR_NS = 2 * SECOND_NS  # so long a place has to be far away before the mission is refused
+
+
+def beyond(value: float, limit: float) -> str:
+    """A value above a limit, with as many digits as it takes to see that."""
+    digits = next((k for k in range(6) if round(value, k) > limit), 6)
+    return f"{value:,.{digits}f}"
 
 
 class Origins:
@@ -44,6 +52,7 @@ class Origins:
         self._far_held = HeldEach(n)
         self._far: BoolArray = np.zeros(n, dtype=np.bool_)
         self._off_m: FloatArray = np.full(n, np.nan)
+        self._above_m: FloatArray = np.full(n, np.nan)  # its pad, by GPS and the mission's anchor
         self._derived: BoolArray = np.zeros(n, dtype=np.bool_)
 
     def look(self, now_ns: int) -> None:
@@ -51,24 +60,27 @@ class Origins:
         if not self._gps.any():
             return
         self._off_m = self._frame.off_pad_on_earth_m(self._station.fleet, now_ns, _OLD_NS)
+        if (anchor := self._plan.spec.anchor) is not None:
+            above_m = self._station.fleet.place_deg_m[:, 2] - (anchor.alt_m + self._plan.pads_enu_m[:, 2])
+            self._above_m = np.where(np.isnan(self._off_m), np.nan, above_m)
         self._far = self._far_held(self._off_m > _FAR_M, now_ns, _FAR_NS)  # NaN is not far
 
     def far_away(self, vehicle: int) -> str | None:
         """Words for a vehicle that is in quite another place than the mission says; None for the others."""
         if not self._far[vehicle]:
             return None
-        km = self._off_m[vehicle] / 1e3
+        km = beyond(self._off_m[vehicle] / 1e3, _FAR_M / 1e3)
         first, anchor = self._frame.placement.hangs_on, self._plan.spec.anchor
         place = self._station.fleet.place_deg_m[vehicle]
         here = f"it is at {place[0]:.5f}, {place[1]:.5f}"
         if anchor is None:
             name = "?" if first is None else self._plan.spec.vehicles[first].id
             return (
-                f"{here}, {km:,.0f} km from its pad as vehicle {name} places it, limit {_FAR_M / 1e3:g} km; one of the"
+                f"{here}, {km} km from its pad as vehicle {name} places it, limit {_FAR_M / 1e3:g} km; one of the"
                 " two has a wrong position: wait for GPS, or restart it"
             )
         return (
-            f"{here}, {km:,.0f} km from its pad by the mission's anchor ({anchor.lat_deg:.5f}, {anchor.lon_deg:.5f}),"
+            f"{here}, {km} km from its pad by the mission's anchor ({anchor.lat_deg:.5f}, {anchor.lon_deg:.5f}),"
             f" limit {_FAR_M / 1e3:g} km; {self._guess(place)}"
         )
 
@@ -90,8 +102,9 @@ class Origins:
         return "correct anchor.lat_deg and anchor.lon_deg (are they swapped?), or wait for its GPS"
 
     def compared(self) -> bool:
-        """Whether everybody that uses GPS is where the mission says, by its global position."""
-        return bool((self._off_m[self._gps] <= self._plan.limits.pad_error_m).all())
+        """Whether everybody that uses GPS is where the mission says, by its global position, roughly in height."""
+        beside = self._off_m[self._gps] <= self._plan.limits.pad_error_m
+        return bool(beside.all()) and not (np.abs(self._above_m[self._gps]) > _HEIGHT_OFF_M).any()  # NaN is not
 
     def in_doubt(self, vehicle: int, now_ns: int) -> bool:
         """Whether what a vehicle told of its origin of late does not agree with itself."""
@@ -140,11 +153,34 @@ class Origins:
         if off_m > self._plan.limits.pad_error_m:
             return (
                 f"reports a global position {off_m:,.2f} m from its pad, limit {self._plan.limits.pad_error_m:.3g} m;"
-                " put it on its pad, or correct pad_m or the anchor; it is not given the team's origin before"
+                " put it on its pad, or correct pad_m, or anchor.lat_deg and anchor.lon_deg; it is not given the team's"
+                " origin before"
             )
+        if abs(self._above_m[vehicle]) > _HEIGHT_OFF_M:
+            words = self._height_words(vehicle, f", limit {_HEIGHT_OFF_M:g} m")
+            return f"{words}; it is not given the team's origin before"
         if not self.compared():
             return "is given the team's origin when everybody is where the mission says"
         return "was given the team's origin, has not taken it yet"
+
+    def what_to_correct(self, vehicle: int) -> str | None:
+        """What puts right one that is off its pad, where the mission's anchor may be wrong; None for the others."""
+        if self._plan.spec.anchor is None or not self._gps[vehicle]:
+            return None
+        if abs(self._above_m[vehicle]) / 3.0 > self._off_m[vehicle]:  # as ``TeamFrame.off_pad_m`` counts heights
+            return self._height_words(vehicle, ", of which a third counts")
+        return "put it on its pad, restart it there, or correct pad_m, or anchor.lat_deg and anchor.lon_deg"
+
+    def _height_words(self, vehicle: int, judged: str) -> str:
+        """Says by how much a vehicle's height and the anchor's are apart, and why that may be."""
+        anchor, above_m = self._plan.spec.anchor, float(self._above_m[vehicle])
+        assert anchor is not None  # noqa: S101 - heights are compared only where there is one
+        height_m = self._station.fleet.place_deg_m[vehicle, 2]
+        return (
+            f"its GPS says {height_m:.0f} m above sea level, {abs(above_m):.0f} m {'above' if above_m > 0 else 'below'}"
+            f" its pad by anchor.alt_m ({anchor.alt_m:g} m){judged}; correct anchor.alt_m, or wait for its GPS (heights"
+            " above the ellipsoid differ by up to 100 m from those above sea level, in Europe by 40 to 50 m)"
+        )
 
     def _place_on_earth(self, vehicle: int, now_ns: int) -> None:
         """Gives an origin to one that flies without GPS and has none: some estimators take no position before."""

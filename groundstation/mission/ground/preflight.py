@@ -483,8 +483,9 @@ class Preflight:
             )
         if not off_m <= plan.limits.pad_error_m:
             elsewhere = self.checks.place_words(vehicle, positions)
+            remedy = self._origins.what_to_correct(vehicle) or "put it on its pad, restart it there, or correct pad_m"
             return (
                 f"reports a position {off_m:.2f} m from its pad, limit {plan.limits.pad_error_m:.3g} m"
-                f"{elsewhere or '; put it on its pad, restart it there, or correct pad_m'}"
+                f"{elsewhere or f'; {remedy}'}"
             )
         return None

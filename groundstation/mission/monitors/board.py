@@ -45,6 +45,7 @@ _CONSEQUENCES = {
     Reaction.FAILED: "",
     Reaction.SILENCE: "setpoints end, the autopilots' own failsafe takes over",
 }
+_STAYS = "it stays where it lies"
 _SEVERAL_LAND = "they land where they are when nobody is below"
 
 
@@ -74,6 +75,8 @@ class Board:
             self._contradictions, self._traffic,
         )  # fmt: skip
         self._losses = Losses(plan)
+        self._held_modes = Modes(plan)  # of its own: what is so while they are taken over counts for nothing later
+        self._onto_held = Sinking(plan, self._held_modes)
 
     @property
     def blind(self) -> BoolArray:
@@ -188,6 +191,16 @@ class Board:
             self._tell(finding, reaction, findings, sight, others=others)
         return findings
 
+    def look_at_held(self, sight: Sight) -> list[str]:
+        """Words for those that come down onto somebody while a take-over lets everybody stand still.
+
+        Args:
+            sight: what is to be seen; nobody is steered.
+        """
+        list(self._held_modes.look(sight, sight.ours))  # what it finds is the take-over's to tell
+        found = self._onto_held.look(sight, sight.ours)
+        return [f"vehicle {sight.fleet.ids[finding.vehicles[0]]}: {finding.what}" for finding in found]
+
     def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, roster: Duties, now_ns: int) -> Poses:
         """Marks whoever is not steered by us: as one that may come down, and as larger than it is.
 
@@ -235,6 +248,8 @@ class Board:
         if finding.pair and len(ids) > 1:
             names = f"vehicles {ids[0]} and {ids[1]}"
         consequence = _consequence(reaction, several=len(rows) > 1, going_on=sight.going_on, others=others)
+        if finding.lies and reaction is Reaction.LAND:
+            consequence = consequence.replace(_CONSEQUENCES[Reaction.LAND], _STAYS)
         what = (f"{names}: " if names else "") + finding.what
         subject = names if len(ids) == 1 else what
         text = what + (f"; {consequence}" if consequence else "")

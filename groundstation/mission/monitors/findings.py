@@ -52,6 +52,7 @@ class Finding:
         urgent: does not wait for the end of an operator's hold.
         pair: judges two vehicles by what is between them; they are named together.
         fate: judges nobody: it says what has become of a vehicle, whoever has it, and asks for nothing (``SAY``).
+        lies: it has come to the ground already, so that it stays there and does not land first.
         remedy: what a person can do about it, now or before the next flight; told, and no part of a reason.
     """
 
@@ -63,6 +64,7 @@ class Finding:
     urgent: bool = False
     pair: bool = False
     fate: bool = False
+    lies: bool = False
     remedy: str = ""
 
     def of(self, ours: BoolArray) -> Finding | None:

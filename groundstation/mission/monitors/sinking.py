@@ -1,6 +1,7 @@
 """Vehicles that come down by themselves with somebody below: an autopilot that lands at its own word asks nobody.
 
-Nothing stops it. Those below leave its column (``Guide``) as long as they are told; people have to know of all of them.
+Nothing stops it. Those below leave its column (``Guide``) as long as setpoints are what they follow: not once they are
+told to land, and not while a take-over lets everybody stand. People have to know of all of them.
 """
 
 from __future__ import annotations
@@ -46,10 +47,11 @@ class Sinking:
         beside_m, below_m = np.hypot(away_m[..., 0], away_m[..., 1]), away_m[..., 2]
         above, others = ((below_m > 0.0) & (beside_m < self._beside_m) & (rows[:, None] != np.arange(n))).nonzero()
         of_pair = dict(zip((rows[above] * n + others).tolist(), above.tolist(), strict=True))
+        leaves = (sight.steered | sight.lands_here) & ~(sight.excused | stands | sight.blind | self._by_itself)
         for pair in self._told(list(of_pair), sight.now_ns):
             row, (who, other) = of_pair[pair], divmod(pair, n)
             below, beside = f"{below_m[row, other]:.1f} m", f"{beside_m[row, other]:.2f} m beside"
-            can_leave = ours[other] and not (stands | sight.blind | self._by_itself)[other]
+            can_leave = ours[other] and leaves[other]
             if ours[who]:
                 then = "which gets out of the way" if can_leave else "and cannot be told to leave; keep people away"
                 what = f"comes down by itself, vehicle {fleet.ids[other]} is {below} below and {beside}, {then}"

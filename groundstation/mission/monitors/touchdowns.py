@@ -76,7 +76,7 @@ class Touchdowns:
             if what and sight.now_ns - self._told_ns[row] > _ONCE_NS:
                 self._told_ns[row] = sight.now_ns
                 if ours[row]:
-                    yield Finding(Reaction.FAILED if sight.excused[row] else Reaction.LAND, what, (row,))
+                    yield Finding(Reaction.FAILED if sight.excused[row] else Reaction.LAND, what, (row,), lies=True)
                 else:
                     yield Finding(Reaction.SAY, what, (row,), fate=True)
 

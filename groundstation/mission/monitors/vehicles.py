@@ -35,14 +35,21 @@ class Heartbeats:
         silent = fleet.silent(sight.now_ns, self._limit_s)
         quiet = fleet.heartbeat_stale(sight.now_ns, self._limit_s)
         for vehicle in self._lasting(quiet & ours, sight.now_ns):
+            remedy = "see to its link"
             if silent[vehicle]:
                 what = f"nothing heard for {self._limit_s:g} s"
+            elif fleet.disarm_doubted[vehicle]:  # heard, and not believed
+                what = (
+                    f"its heartbeats say disarmed for {HEARTBEAT_PATIENCE * self._limit_s:g} s, its landed state that"
+                    " it flies; whether it is armed is not known"
+                )
+                remedy = "keep away from it, and look whether it stands"
             else:
                 what = (
                     f"no heartbeat for {HEARTBEAT_PATIENCE * self._limit_s:g} s, whether it is armed and follows is"
                     " not known any more"
                 )
-            yield Finding(Reaction.HOME, what, (vehicle,), remedy="see to its link")
+            yield Finding(Reaction.HOME, what, (vehicle,), remedy=remedy)
 
 
 class Modes:

@@ -21,6 +21,7 @@ _DISARMED_NS = 5 * SECOND_NS // 2  # two heartbeats that say so
 _LOW_M, _LOW_WITHIN_M = 1.0, 0.3  # heights by GPS and barometer are off by half a metre
 _SINKS_MAX_NS = 15 * SECOND_NS  # 5 m at 0.5 m/s, and coming to rest
 _DOWN_MAX_NS = 120 * SECOND_NS  # nobody is waited for longer than this while the team comes down
+_STILL_M_S, _PAD_M = 0.1, 0.5  # who moves less, and is no farther above its pad, stands on it by what it reports
 _KEEP_CLEAR = "keep clear of it, stop it by remote control"
 
 
@@ -93,7 +94,26 @@ class _ComingDown(PhaseState):
                 f" after {waited_s:g} s; {_KEEP_CLEAR}"
             )
         for vehicle in np.flatnonzero(up & ~killed).tolist():
-            team.verdict.abort(team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s, alone))
+            if team.fleet.disarm_doubted[vehicle]:
+                speed_m_s = float(np.linalg.norm(poses.vel_ned_m_s[vehicle]))
+                words = self._words_of_doubted(vehicle, float(height_m[vehicle]), speed_m_s, waited_s)
+            else:
+                words = team.landing.words_of_late(vehicle, float(height_m[vehicle]), waited_s, alone)
+            team.verdict.abort(words)
+
+    def _words_of_doubted(self, vehicle: int, height_m: float, speed_m_s: float, waited_s: float) -> str:
+        """Says of one that contradicts itself what its position shows; it is not called landed for that."""
+        plan = self._team.plan
+        told = f"after {waited_s:g} s of landing its heartbeats say disarmed, its landed state that it flies"
+        seen = f"its position stands {height_m:.1f} m above its pad"
+        if speed_m_s > _STILL_M_S:
+            seen = f"its position moves at {speed_m_s:.1f} m/s, {height_m:.1f} m above its pad"
+        low = abs(height_m) <= max(_PAD_M, 2.0 * plan.margin_m) and speed_m_s <= _STILL_M_S  # NaN is not
+        most = "it has landed, most likely" if low else "it counts as flying"
+        return (
+            f"{self._team.name(vehicle)}: {told}, {seen}: {most}; setpoints stop now; keep away, look whether it stands"
+            f" with its motors off, and {'take its battery out' if low else 'else take it over by remote control'}"
+        )
 
     def _names(self, who: BoolArray) -> str:
         return vehicle_list(self._team.fleet.ids[who].tolist())

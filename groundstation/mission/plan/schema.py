@@ -382,10 +382,17 @@ class FailsafeSpec(_Strict):
     set_parameters: bool = False
 
 
+def _no_longitude(value: object) -> object:
+    """Asks whether what is too much for a latitude was meant for the longitude."""
+    if isinstance(value, float | int) and 89.0 < abs(value) <= 180.0:
+        raise ValueError("expected -89 to 89 (are anchor.lat_deg and anchor.lon_deg swapped?)")
+    return value
+
+
 class AnchorSpec(_Strict):
     """Where on earth the team frame has its origin: degrees, and metres above sea level."""
 
-    lat_deg: Annotated[float, Field(ge=-89, le=89)]
+    lat_deg: Annotated[float, BeforeValidator(_no_longitude), Field(ge=-89, le=89)]
     lon_deg: Annotated[float, Field(ge=-180, le=180)]
     alt_m: Annotated[float, Field(ge=-500, le=9000)]
 

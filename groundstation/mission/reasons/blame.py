@@ -5,7 +5,7 @@ Values only; judges nothing and decides nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -22,11 +22,16 @@ class Blame:
     """Reasons of the monitors: the first one of each vehicle.
 
     What is found of a vehicle later follows from that, and only alarms.
+
+    Attributes:
+        outdated: words told before that those of the last call take the place of, "" mostly.
     """
 
     def __init__(self) -> None:
         self._named: set[str] = set()
         self._in_full = 0
+        self._rest: list[str] = []
+        self._more = self.outdated = ""
 
     def of(self, aborts: Mapping[str, str], reason: str) -> str:
         """What one tick adds to the reason of the result.
@@ -48,13 +53,21 @@ class Blame:
         told = new[: max(_IN_FULL - self._in_full, 0)]
         self._in_full += len(told)
         lines, rest = [aborts[subject] for subject in told], new[len(told) :]
+        self.outdated = ""
         if rest:
-            numbers = [subject.removeprefix("vehicle ") for subject in rest if subject.startswith("vehicle ")]
-            others = len(rest) - len(numbers)
-            more = [f"vehicle{'s' * (len(numbers) > 1)} {', '.join(numbers)}"] if numbers else []
-            more += [f"{others} more finding{'s' * (others > 1)}"] if others else []
-            lines.append(f"{' and '.join(more)} too, see the alarms")
+            self._rest += rest
+            self.outdated, self._more = self._more, _more_words(self._rest)
+            lines.append(self._more)
         return "; ".join(lines)
+
+
+def _more_words(subjects: Sequence[str]) -> str:
+    """Vehicles by their numbers, other findings by how many they are."""
+    numbers = [subject.removeprefix("vehicle ") for subject in subjects if subject.startswith("vehicle ")]
+    others = len(subjects) - len(numbers)
+    more = [f"vehicle{'s' * (len(numbers) > 1)} {', '.join(numbers)}"] if numbers else []
+    more += [f"{others} more finding{'s' * (others > 1)}"] if others else []
+    return f"{' and '.join(more)} too, see the alarms"
 
 
 def still_flying(fleet: Fleet, plan: MissionPlan, flying: BoolArray, now_ns: int) -> Iterator[str]:
