@@ -13,6 +13,7 @@ from groundstation.core.types import FloatArray, IntArray
 from groundstation.mission.flight.intruders import intruders, with_bodies
 from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.findings import Findings, Sight
+from groundstation.mission.monitors.sinking import OntoHeld
 from groundstation.mission.phases.machine import Machine
 from groundstation.mission.phases.table import Event
 from groundstation.mission.reasons.blame import Blame
@@ -32,6 +33,7 @@ class Lookout:
     def __init__(self, team: Team, machine: Machine) -> None:
         self._team, self._machine = team, machine
         self._blame = Blame()
+        self._onto_held = OntoHeld(team.plan)
 
     def watch(self, poses: Poses, sent_ned_m_s: FloatArray, now_ns: int) -> Poses:
         """Acts on what the monitors find; returns the poses to steer by, with obstacles marked.
@@ -49,8 +51,7 @@ class Lookout:
         poses = poses if poses.intruders is flying else changed(poses, intruders=flying)
         poses = board.trusted(poses, pose_ns, team.standing.airborne(now_ns), now_ns)
         findings = board.look(self._sight(poses, pose_ns, sent_ned_m_s, now_ns))
-        fleet.doubt_the_ground(board.flies)
-        fleet.see_above(board.above, now_ns)
+        board.doubt(fleet, now_ns)
         self._act(findings, poses, now_ns)
         board.wind.enter(team.figures)
         poses = board.obstacles(board.steady(poses), fleet, pose_ns, roster, now_ns)
@@ -78,7 +79,7 @@ class Lookout:
             team.verdict.abort(text)
         if self._machine.phase is Phase.TAKEOVER:
             nobody = np.zeros_like(sight.steered)
-            for text in team.board.look_at_held(replace(sight, steered=nobody, lands_here=nobody)):
+            for text in self._onto_held.words(replace(sight, steered=nobody, lands_here=nobody)):
                 team.verdict.note("alarm", text)
 
     def _sight(self, poses: Poses, pose_ns: IntArray, sent_ned_m_s: FloatArray, now_ns: int) -> Sight:

@@ -1,6 +1,6 @@
 """Everything before arming: rates asked for and counted, clocks, origins, and what is not well yet, in words.
 
-Sends through the station it is given; arms nothing. A vehicle that starts anew on the ground is asked for everything
+Sends through the station it is given; arms nothing. One that starts anew on the ground is asked for everything
 again. Nothing here waits: the runner calls it once per tick and decides how long is long enough.
 """
 
@@ -482,10 +482,7 @@ class Preflight:
                 " restart its estimator"
             )
         if not off_m <= plan.limits.pad_error_m:
-            elsewhere = self.checks.place_words(vehicle, positions)
             remedy = self._origins.what_to_correct(vehicle) or "put it on its pad, restart it there, or correct pad_m"
-            return (
-                f"reports a position {off_m:.2f} m from its pad, limit {plan.limits.pad_error_m:.3g} m"
-                f"{elsewhere or f'; {remedy}'}"
-            )
+            words = self.checks.place_words(vehicle, positions) or f"; {remedy}"
+            return f"reports a position {off_m:.2f} m from its pad, limit {plan.limits.pad_error_m:.3g} m{words}"
         return None

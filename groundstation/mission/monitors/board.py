@@ -75,8 +75,6 @@ class Board:
             self._contradictions, self._traffic,
         )  # fmt: skip
         self._losses = Losses(plan)
-        self._held_modes = Modes(plan)  # of its own: what is so while they are taken over counts for nothing later
-        self._onto_held = Sinking(plan, self._held_modes)
 
     @property
     def blind(self) -> BoolArray:
@@ -108,15 +106,10 @@ class Board:
         """Who stands still by its own failsafe until it hears setpoints again, shape (n,)."""
         return self._modes.waits
 
-    @property
-    def flies(self) -> BoolArray:
-        """Vehicles that say that they stand on the ground and are seen to fly, shape (n,)."""
-        return self._contradictions.flies
-
-    @property
-    def above(self) -> BoolArray:
-        """Vehicles that are seen above their pads, whatever they say, shape (n,)."""
-        return self._contradictions.above
+    def doubt(self, fleet: Fleet, now_ns: int) -> None:
+        """Has words doubted that what is seen contradicts: to stand on the ground, to be disarmed."""
+        fleet.doubt_the_ground(self._contradictions.flies)
+        fleet.see_above(self._contradictions.above, now_ns)
 
     def begin(self, fleet: Fleet) -> None:
         """Takes what is so now for what should stay so: origins, starts of the autopilots."""
@@ -190,16 +183,6 @@ class Board:
         for finding, reaction in found:
             self._tell(finding, reaction, findings, sight, others=others)
         return findings
-
-    def look_at_held(self, sight: Sight) -> list[str]:
-        """Words for those that come down onto somebody while a take-over lets everybody stand still.
-
-        Args:
-            sight: what is to be seen; nobody is steered.
-        """
-        list(self._held_modes.look(sight, sight.ours))  # what it finds is the take-over's to tell
-        found = self._onto_held.look(sight, sight.ours)
-        return [f"vehicle {sight.fleet.ids[finding.vehicles[0]]}: {finding.what}" for finding in found]
 
     def obstacles(self, poses: Poses, fleet: Fleet, pose_ns: IntArray, roster: Duties, now_ns: int) -> Poses:
         """Marks whoever is not steered by us: as one that may come down, and as larger than it is.

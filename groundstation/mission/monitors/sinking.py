@@ -60,3 +60,24 @@ class Sinking:
                 then = "it gets out of the way" if can_leave else "it cannot be told to leave; keep people away"
                 what = f"vehicle {fleet.ids[who]} comes down by itself {below} above and {beside}, {then}"
                 yield Finding(Reaction.SAY, what, (other,))
+
+
+class OntoHeld:
+    """The same while a take-over lets everybody stand still.
+
+    It has modes of its own to look at: what is so then counts for nothing later.
+    """
+
+    def __init__(self, plan: MissionPlan) -> None:
+        self._modes = Modes(plan)
+        self._sinking = Sinking(plan, self._modes)
+
+    def words(self, sight: Sight) -> list[str]:
+        """Words for those that come down onto somebody.
+
+        Args:
+            sight: what is to be seen; nobody is steered.
+        """
+        list(self._modes.look(sight, sight.ours))  # what it finds is the take-over's to tell
+        found = self._sinking.look(sight, sight.ours)
+        return [f"vehicle {sight.fleet.ids[finding.vehicles[0]]}: {finding.what}" for finding in found]
