@@ -9,7 +9,7 @@ import pytest
 
 from groundstation.app.campaign.adversary import draw
 from groundstation.app.campaign.cases import Cases
-from groundstation.app.campaign.plot import STRANGERS
+from groundstation.app.campaign.plot import PILOTS, STRANGERS
 from groundstation.app.campaign.run import fly_case
 from groundstation.app.campaign.summary import below_r
 from groundstation.app.campaign.vary import load_vary
@@ -49,9 +49,11 @@ def test_everything_that_can_go_wrong_is_drawn() -> None:
         seen.update({f"faults {len(faults)}", *(fault.kind for fault in faults)})
         seen.update(f"stranger {event.stranger}" for event in drawn.events if event.stranger)
         seen.update(event.order.split()[0] for event in drawn.events if event.order.strip())
+        seen.update(f"pilot {event.pilot}" for event in drawn.events if event.pilot)
         seen.update("keys" for event in drawn.events if event.keys)
         seen.update("edge" for event in drawn.events if event.delay_s == 0.0)
     wanted = {f"n {n}" for n in range(2, 9)} | {f"faults {n}" for n in range(4)} | {f"stranger {s}" for s in STRANGERS}
+    wanted |= {f"pilot {pilot}" for pilot in PILOTS}
     wanted |= {"hold", "resume", "return", "land", "kill", "keys", "edge", "battery_level", "motor_failure", "blackout"}
     wanted |= {"outdoors True", "outdoors False", "shape sphere", "shape cylinder", "shape ellipsoid", "steps True"}
     wanted |= {"wind True", "told True", "told False", "autopilots 1", "autopilots 2", "on_lost continue_open"}

@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 import yaml
 
-from groundstation.app.campaign.plot import STRANGERS, Event
+from groundstation.app.campaign.plot import PILOTS, STRANGERS, Event
 from groundstation.app.campaign.vary import AdversarySpec
 from groundstation.app.gateway.emulated import BEHIND_A_GATEWAY
 from groundstation.app.resources import packaged_configs
@@ -403,6 +403,10 @@ def _events(spec: AdversarySpec, plan: MissionPlan, size_m: float, rng: np.rando
                     seed=int(rng.integers(2**31)),
                 )
             )
+    if rng.random() < spec.pilots:  # drawn last: what else happens is the same with and without
+        phase, delay_s = _when(rng)
+        pilot = PILOTS[int(rng.integers(len(PILOTS)))]
+        events.append(Event(phase, delay_s, pilot=pilot, vehicle=int(rng.integers(len(ids)))))
     return tuple(events)
 
 

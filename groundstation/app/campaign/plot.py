@@ -1,4 +1,4 @@
-"""What an adversary does to one flight: faults, orders, keys and strangers, each when a phase is really entered.
+"""What an adversary does to one flight, faults, orders, keys, strangers, pilots, each when a phase is really entered.
 
 An event waits for its phase and then for its delay; one whose phase never comes does not happen. Strangers put
 datagrams on a vehicle's link, from an address of their own. Everything random was drawn before, or comes from the
@@ -7,7 +7,7 @@ event's own seed. Refuses to judge what comes of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,14 @@ _GROUND = frozenset({Phase.CONNECT, Phase.ARM})
 _MAV_TYPE_QUADROTOR, _MAV_TYPE_GCS, _MAV_TYPE_ONBOARD = 2, 6, 18
 _AUTOPILOT_INVALID, _AUTOPILOT_PX4 = 8, 12
 _STRANGER_IDS = (251, 252)
+_PILOT_IDS = (250, 190)
+PILOTS = ("sticks", "hold")
+"""What pilots do: fly by sticks, which they leave in the middle, or have it hold its place."""
+_MODES: Mapping[str, Mapping[str, tuple[int, int]]] = {  # DO_SET_MODE's second and third number
+    "px4": {"sticks": (3, 0), "hold": (4, 3), "land": (4, 6)},
+    "arducopter": {"sticks": (2, 0), "hold": (5, 0), "land": (9, 0)},
+}
+_DO_SET_MODE, _CUSTOM_MODE = 176, 1
 _GARBAGE_BYTES, _FLOOD_BYTES, _FLOOD_DATAGRAMS = 120, 280, 4
 STRANGERS = ("garbage", "flood", "vehicle", "ground_station", "companion", "invalid_heartbeat")
 """What strangers do: bytes at random, more of them, another vehicle, another ground station, a companion computer under
@@ -43,7 +51,8 @@ class Event:
         keys: what is typed at the keyboard.
         interrupt: a Ctrl-C.
         stranger: one of ``STRANGERS``, "" for none.
-        vehicle: index of the vehicle on whose link the stranger is.
+        pilot: what a pilot switches a vehicle to, one of ``PILOTS``, "" for none.
+        vehicle: index of that vehicle, or of the one on whose link the stranger is.
         for_s: how long the stranger stays.
         seed: of its bytes.
     """
@@ -55,6 +64,7 @@ class Event:
     keys: str = ""
     interrupt: bool = False
     stranger: str = ""
+    pilot: str = ""
     vehicle: int = 0
     for_s: float = 0.0
     seed: int = 0
@@ -69,6 +79,8 @@ class Event:
             return f"{self.fault.kind} {whom}{numbers}{lasting}"
         if self.stranger:
             return f"stranger: {self.stranger} {self.vehicle + 1}"
+        if self.pilot:
+            return f"pilot: {self.pilot} {self.vehicle + 1}"
         return f"order: {self.order or repr(self.keys) if not self.interrupt else 'Ctrl-C'}"
 
 
@@ -81,6 +93,7 @@ class Plot:
         interrupts: Ctrl-C of the flight.
         strike: lets a fault strike.
         kill: takes the rows of those that an order leaves to fall, or to themselves.
+        radio: takes a vehicle's row and a frame that a pilot's own ground station sends it.
 
     Attributes:
         happened: what has happened so far, a line each.
@@ -94,9 +107,11 @@ class Plot:
         *,
         strike: Callable[[Fault], None],
         kill: Callable[[Sequence[int]], None],
+        radio: Callable[[int, bytes], None],
     ) -> None:
         self.happened: list[str] = []
         self._plan, self._interrupts, self._strike, self._kill = plan, interrupts, strike, kill
+        self._radio, self._piloted, self._pilot = radio, set[int](), Encoder(*_PILOT_IDS)
         self._waiting = list(events)
         self._due: list[tuple[int, int, Event]] = []
         self._strangers: list[_Stranger] = []
@@ -122,6 +137,10 @@ class Plot:
     def _do(self, event: Event, session: Session, now_ns: int) -> None:
         if event.fault is not None:
             self._strike(event.fault)
+        elif event.pilot:
+            self._kill([event.vehicle])  # from now on nobody but the pilot steers it
+            self._piloted.add(event.vehicle)
+            self._switch(event.vehicle, event.pilot)
         elif event.stranger:
             self._strangers.append(_Stranger(self._plan, event, now_ns))
         elif event.interrupt:
@@ -132,6 +151,20 @@ class Plot:
             lines = [event.order] if event.order else self._keys.feed(event.keys.encode("latin-1"))
             for line in lines:
                 self._order(line, session, now_ns)
+
+    def end(self) -> None:
+        """The ground station has ended: pilots land what they have."""
+        for row in sorted(self._piloted):
+            self._switch(row, "land")
+
+    def _switch(self, row: int, to: str) -> None:
+        main, sub = _MODES[self._plan.spec.vehicles[row].autopilot][to]
+        own = self._plan.spec.vehicles[row].id
+        frame = self._pilot.encode(
+            "COMMAND_LONG", target_system=own, target_component=1, command=_DO_SET_MODE,
+            param1=float(_CUSTOM_MODE), param2=float(main), param3=float(sub),
+        )  # fmt: skip
+        self._radio(row, frame)
 
     def _order(self, line: str, session: Session, now_ns: int) -> None:
         try:

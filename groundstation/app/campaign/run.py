@@ -156,7 +156,9 @@ class _Flown:
         self._pair_m = np.full((self._plan.size, self._plan.size), math.inf)
         self._witness = Witness(self._plan, self._world)
         self._interrupts = Interrupts()
-        self._plot = Plot(self._plan, case.events, self._interrupts, strike=self._inject, kill=self._give_up_on)
+        self._plot = Plot(
+            self._plan, case.events, self._interrupts, strike=self._inject, kill=self._give_up_on, radio=self._hears
+        )
 
     def fly(self, log: Path | None) -> Row:
         """Flies to the end, lets the world come to rest, and reads off what came of it."""
@@ -295,6 +297,7 @@ class _Flown:
         plan, figures, setting = self._plan, runner.figures, self._case.setting
         radius_m = plan.spec.avoidance.radius_m
         self._witness.ended(self._world.now_ns)
+        self._plot.end()
         self._settle(round(setting.settle_s * SECOND_NS))
         self._take_distances()
         states = [self._state(i) for i in range(plan.size)]
@@ -347,6 +350,10 @@ class _Flown:
             "tracebacks": sum(_OWN_FAULT in alarm for alarm in self._alarms),
             **verdict.columns(),
         }
+
+    def _hears(self, row: int, frame: bytes) -> None:
+        """A vehicle hears somebody else than the ground station."""
+        self._world.receive(row, frame, self._world.now_ns, "pilot")
 
     def _settle(self, most_ns: int) -> None:
         """Lets time pass with nobody at the ground station, until everybody is down or time is over."""

@@ -182,7 +182,7 @@ def _fault(values: Mapping[str, Any]) -> Fault:
 
 
 class AdversarySpec(_Strict):
-    """Missions, faults, orders and strangers at random: how many at most; shares flown outdoors, and in a wind."""
+    """Missions, faults, orders and strangers at random: how many at most; shares outdoors, in a wind, with a pilot."""
 
     vehicles: Annotated[int, Field(ge=2, le=8)] = 8
     faults: Annotated[int, Field(ge=0, le=10)] = 3
@@ -190,6 +190,7 @@ class AdversarySpec(_Strict):
     strangers: Annotated[int, Field(ge=0, le=10)] = 2
     outdoors: Probability = 0.25
     wind: Probability = 0.4
+    pilots: Probability = 0.0
 
 
 AtMost = Annotated[int, Field(ge=0)]
