@@ -62,7 +62,8 @@ def refuse_empty_names(arguments: Sequence[str]) -> None:
     Raises:
         UserError: names the option.
     """
-    for option, value in zip(arguments, [*arguments[1:], None], strict=True):
+    for number, option in enumerate(arguments):
+        value = arguments[number + 1] if number + 1 < len(arguments) else None
         name = option.removesuffix("=")
         if name in _NAMES_FILE and (name != option or value == ""):
             raise UserError(f"{name}: its name is empty; name a file, or a folder where it takes one")
