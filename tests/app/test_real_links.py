@@ -279,7 +279,7 @@ def test_a_team_on_a_radio_each_at_57600_baud_is_flown_within_the_budget(cable: 
 
 def test_two_vehicles_behind_one_radio_share_its_budget(cable: Cable, tmp_path: Path) -> None:
     wire = cable.serial(57_600)
-    plan = pair("rate_hz=50", "link_delay_s=0.1", *_links(wire.url, wire.url))
+    plan = pair("rate_hz=50", "link_delay_s=0.1", "wind.mean_m_s=3", *_links(wire.url, wire.url))
     (rates,) = plan.rates
     assert 20 < rates.pose_hz < 30
     flown = _fly(plan, {wire.url: wire}, tmp_path / "flight.tlog")

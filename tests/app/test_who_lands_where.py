@@ -137,7 +137,7 @@ def test_four_in_a_column_land_on_their_pads_where_the_fence_has_no_place_for_al
 @pytest.mark.parametrize("autopilots", [("px4", "arducopter"), ("arducopter", "px4")])
 def test_one_that_does_not_take_land_is_kept_above_its_pad_until_it_does(autopilots: tuple[str, str]) -> None:
     """Told to stand still it would drift 2 to 4 m in a minute, over others too, and land there by its failsafe."""
-    plan = pair("steps=[{hover: {seconds: 1}}]", "rate_hz=10", autopilots=autopilots)
+    plan = pair("steps=[{hover: {seconds: 1}}]", "rate_hz=10", "wind.mean_m_s=3", autopilots=autopilots)
     off_m, struck = list[float](), list[int]()
 
     def strike(flight: Flight) -> None:
