@@ -62,6 +62,7 @@ class UdpLink:
     _known: frozenset[str] = frozenset()
     _own_names: frozenset[str] = frozenset()
     _sorted: set[str] = field(default_factory=set)  # whose newer words may be in ``own``, or were
+    _settled: set[str] = field(default_factory=set)  # none of whose old words can lie in ``socket`` any more
     _earlier: deque[tuple[str, bytes]] = field(default_factory=deque)
     _strangers: deque[tuple[str, bytes]] = field(default_factory=deque)
     _strangers_bytes: int = 0
@@ -95,6 +96,7 @@ class UdpLink:
         news, gone, self._known = known - self._known, self._known - known, known
         if self.own is not None:
             self._sorted |= gone
+            self._settled -= news | gone
             steer(self.socket, [self._addresses[peer] for peer in known if peer in self._addresses])
         if not news:
             return
@@ -125,13 +127,15 @@ class UdpLink:
             return arrived
         before = len(arrived)
         left, empty = self._take(self.own, left, arrived)
-        self._sorted.update(peer for peer, _ in arrived[before:])
+        self._sorted.update(peer for peer, _ in arrived[before:] if peer not in self._settled)
         if not empty:
             return arrived
         self._sorted &= self._known
         left = self._hand_out(self._strangers, self._share(left), arrived)
-        if not self._strangers:
-            self._take(self.socket, left, arrived)
+        if not self._strangers and self._take(self.socket, left, arrived)[1]:
+            # What the kernel puts there from now on is new, whoever sends it.
+            self._settled |= self._known
+            self._sorted -= self._settled
         return arrived
 
     def _share(self, left: int) -> int:

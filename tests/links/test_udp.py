@@ -13,7 +13,7 @@ import pytest
 from groundstation.core.errors import UserError
 from groundstation.links import udp
 from groundstation.links.link import LONGEST_OF_STRANGERS
-from groundstation.links.steering import program
+from groundstation.links.steering import program, steer
 from groundstation.links.udp import UdpLink, open_udp
 from tests.links.alone import alone_on_a_port
 from tests.links.waits import LIMIT_S, arrived_on
@@ -228,6 +228,26 @@ def test_old_datagrams_that_are_found_too_late_are_left_out_and_counted(monkeypa
         said += _all_of(link)
         assert [int(data) for _, data in said] == [*range(11), *range(51, 81)]
         assert link.too_late == link.errors == 40
+
+
+def test_who_is_not_sorted_out_any_more_is_heard_through_the_other_socket() -> None:
+    """The kernel's program has room for two thousand senders: one more is a stranger to it, and no less a vehicle."""
+    with open_udp("udpin://127.0.0.1:0") as link, socket.socket(type=socket.SOCK_DGRAM) as vehicle:
+        if link.own is None:
+            pytest.skip("the kernel does not sort senders here")
+        here = link.socket.getsockname()
+        vehicle.bind(("127.0.0.1", 0))
+        peer = f"127.0.0.1:{vehicle.getsockname()[1]}"
+        vehicle.sendto(b"first", here)
+        assert link.receive() == [(peer, b"first")]
+        link.know([peer])
+        vehicle.sendto(b"second", here)
+        assert link.receive() == [(peer, b"second")]
+        assert link.receive() == []
+        steer(link.socket, [])  # as for one that does not fit any more
+        vehicle.sendto(b"third", here)
+        assert link.receive() == [(peer, b"third")]
+        assert link.too_late == 0
 
 
 def test_who_is_known_again_before_all_was_read_is_heard_in_order() -> None:
