@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.core.types import FloatArray
+from groundstation.mission.monitors.headings import _LEAST_BY_GPS_M_S, _LEAST_M_S
+from groundstation.mission.monitors.wind import Wind
 from tests.mission.test_monitors import Scene
 
 TICK_S = 0.02
@@ -141,3 +143,14 @@ def test_who_is_not_turned_any_more_or_never_was_gets_its_setpoints_straight_aga
     flown.told(12.0)
     wanted = np.tile([0.3, 0.0, -0.1], (8, 1))
     np.testing.assert_allclose(flown.scene.monitor.told(wanted), wanted, atol=0.3 * np.sin(np.radians(15.0)))
+
+
+@pytest.mark.parametrize(("outdoors", "named"), [(True, False), (False, True)])
+def test_one_that_more_wind_pushes_than_is_allowed_is_no_turned_one(
+    monkeypatch: pytest.MonkeyPatch, *, outdoors: bool, named: bool
+) -> None:
+    """mixed8 in 8 m/s and gusts of 2 m/s, limit 5.5 and 1: one was told everything turned by 151 degrees, and fled."""
+    monkeypatch.setattr(Wind, "blame", lambda _self, vehicle: "; a wind of 10.5 m/s pushes it" if vehicle == 2 else "")
+    flown = Flown([0.0, 0.0, 120.0, 0.0, 0.0, 0.0, 0.0, 0.0], seed=3)
+    flown.scene.monitor._headings._least_m_s = _LEAST_BY_GPS_M_S if outdoors else _LEAST_M_S
+    assert bool(flown.told(8.0)) == named

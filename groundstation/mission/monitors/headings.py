@@ -97,7 +97,7 @@ class Headings:
         self._both = renewed(rows, 0.0, self._both + share * (both - self._both))
         length = np.hypot(self._both[..., 0], self._both[..., 1])
         clear = self._clear(length[0])
-        off = clear & self._turned(length) if some(clear) else clear
+        off = self._not_blown(clear & self._turned(length)) if some(clear) else clear
         news = self._off(off, sight.now_ns)
         found = clear & (self.turn_rad != 0.0)
         if not some(off | found):
@@ -139,6 +139,16 @@ class Headings:
         gain = length / np.maximum(self._told, 1e-9)
         explained = length**2 / np.maximum(self._told * self._flown, 1e-12)
         return np.asarray(moves & (explained > _COHERENT) & (gain > _SLOW) & (gain < _FAST), dtype=np.bool_)
+
+    def _not_blown(self, off: BoolArray) -> BoolArray:
+        """Without those that more wind pushes than the mission allows: they go where it carries them, shape (n,).
+
+        In a room there is no such wind, and one that leans by a wrong north looks as if there were.
+        """
+        if self._least_m_s != _LEAST_BY_GPS_M_S or not some(off):
+            return off
+        blown = [bool(off[vehicle]) and bool(self._wind.blame(vehicle)) for vehicle in range(len(off))]
+        return np.asarray(off & ~np.array(blown))
 
     def _turned(self, length: FloatArray) -> BoolArray:
         """Whose motion points more than the limit away from what it was told, to one side by all lags, shape (n,)."""
