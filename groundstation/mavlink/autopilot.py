@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 
 from groundstation.mavlink.codec import message_id
 from groundstation.mavlink.commands import Command
@@ -60,6 +61,8 @@ class Autopilot(ABC):
     """Whether it speaks no MAVLink itself."""
     params_bytewise = False
     """Whether integer parameters lie in the bytes of the float that they travel in; else they are cast to it."""
+    by_hand: Mapping[str, tuple[int, int]] = {}
+    """Second and third number of DO_SET_MODE with which a pilot takes it over: for sticks, hold and land."""
     estimator_message: str
     """Message that tells how its estimator does."""
     oldest: tuple[int, int]

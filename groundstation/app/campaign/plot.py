@@ -7,7 +7,7 @@ event's own seed. Refuses to judge what comes of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,10 +28,6 @@ _STRANGER_IDS = (251, 252)
 _PILOT_IDS = (250, 190)
 PILOTS = ("sticks", "hold")
 """What pilots do: fly by sticks, which they leave in the middle, or have it hold its place."""
-_MODES: Mapping[str, Mapping[str, tuple[int, int]]] = {  # DO_SET_MODE's second and third number
-    "px4": {"sticks": (3, 0), "hold": (4, 3), "land": (4, 6)},
-    "arducopter": {"sticks": (2, 0), "hold": (5, 0), "land": (9, 0)},
-}
 _DO_SET_MODE, _CUSTOM_MODE = 176, 1
 _GARBAGE_BYTES, _FLOOD_BYTES, _FLOOD_DATAGRAMS = 120, 280, 4
 STRANGERS = ("garbage", "flood", "vehicle", "ground_station", "companion", "invalid_heartbeat")
@@ -137,6 +133,8 @@ class Plot:
     def _do(self, event: Event, session: Session, now_ns: int) -> None:
         if event.fault is not None:
             self._strike(event.fault)
+        elif event.pilot and not self._plan.autopilots[event.vehicle].by_hand:
+            pass  # nobody can take it over
         elif event.pilot:
             self._kill([event.vehicle])  # from now on nobody but the pilot steers it
             self._piloted.add(event.vehicle)
@@ -158,7 +156,7 @@ class Plot:
             self._switch(row, "land")
 
     def _switch(self, row: int, to: str) -> None:
-        main, sub = _MODES[self._plan.spec.vehicles[row].autopilot][to]
+        main, sub = self._plan.autopilots[row].by_hand[to]
         own = self._plan.spec.vehicles[row].id
         frame = self._pilot.encode(
             "COMMAND_LONG", target_system=own, target_component=1, command=_DO_SET_MODE,

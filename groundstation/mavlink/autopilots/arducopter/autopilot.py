@@ -16,6 +16,7 @@ class ArduCopter(Autopilot):
     """
 
     name = "arducopter"
+    by_hand = {"sticks": (2, 0), "hold": (5, 0), "land": (9, 0)}  # noqa: RUF012 - never written to
     needs_origin = True
     mav_autopilot = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
     profile = "arducopter"

@@ -24,6 +24,7 @@ class Px4(Autopilot):
     """
 
     name = "px4"
+    by_hand = {"sticks": (3, 0), "hold": (4, 3), "land": (4, 6)}  # noqa: RUF012 - never written to
     usual = True
     mav_autopilot = 12  # MAV_AUTOPILOT_PX4
     profile = "px4_quad"
