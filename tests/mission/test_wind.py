@@ -182,6 +182,12 @@ def test_a_mean_wind_that_blows_one_kind_onto_another_at_takeoff_is_refused() ->
     assert px4_cube8().wind.mean_m_s == 8.0  # all are blown off alike
 
 
+def test_two_kinds_of_one_autopilot_are_told_apart_by_their_profiles() -> None:
+    heavy = ("profiles={heavy: {like: px4_quad, lag_s: 1.2}}", "vehicles.0.profile=heavy")
+    with pytest.raises(UserError, match=r"may bring vehicles 1 \(heavy\) and 2 \(px4_quad\) nearer by"):
+        px4_cube8("wind={mean_m_s: 8}", *heavy)
+
+
 def test_what_nobody_calls_a_wind_is_allowed_to_teams_of_any_kinds() -> None:
     plan = cube8("vehicles.0.autopilot=arducopter", "vehicles.0.profile=arducopter")
     assert plan.wind.mean_m_s == 1.0

@@ -238,13 +238,14 @@ def check_wind(source: str, spec: MissionSpec, profile: VehicleProfile, limit: W
     nearer_m = blown_nearer_m(spec, profile, room, limit.mean_m_s)
     if nearer_m > room.to_others_m and limit.mean_m_s > _CALM_M_S:
         able_m_s = _mean_that_fits(spec, profile, room, limit.mean_m_s)
-        first, second = (spec.vehicles[k] for k in room.others)
+        pair = [spec.vehicles[k] for k in room.others]
+        alike = pair[0].autopilot == pair[1].autopilot  # then it is the profile that tells them apart
+        first, second = (f"{item.id} ({item.profile if alike else item.autopilot})" for item in pair)
         raise UserError(
-            f"{source}: wind.mean_m_s: {limit.mean_m_s:g} m/s may bring vehicles {first.id} ({first.autopilot}) and"
-            f" {second.id} ({second.autopilot}) nearer by {nearer_m:.2f} m at takeoff, since not all kinds lift off and"
-            f" are blown off alike; their pads leave {max(room.to_others_m, 0.0):.2f} m beside avoidance.radius_m"
-            f" {spec.avoidance.radius_m:g} m; {able_m_s:g} m/s could be allowed: allow less wind, or move pads of"
-            " different kinds further apart"
+            f"{source}: wind.mean_m_s: {limit.mean_m_s:g} m/s may bring vehicles {first} and {second} nearer by"
+            f" {nearer_m:.2f} m at takeoff, since not all kinds lift off and are blown off alike; their pads leave"
+            f" {max(room.to_others_m, 0.0):.2f} m beside avoidance.radius_m {spec.avoidance.radius_m:g} m;"
+            f" {able_m_s:g} m/s could be allowed: allow less wind, or move pads of different kinds further apart"
         )
     gust_m = gust_margin_m(spec, profile, limit)
     together_m, left_m = grown_by_m(room.margin_m, gust_m), ROOM_SHARE * room.room_m
