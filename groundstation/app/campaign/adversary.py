@@ -403,10 +403,11 @@ def _events(spec: AdversarySpec, plan: MissionPlan, size_m: float, rng: np.rando
                     seed=int(rng.integers(2**31)),
                 )
             )
-    if rng.random() < spec.pilots:  # drawn last: what else happens is the same with and without
+    able = [row for row, autopilot in enumerate(plan.autopilots) if autopilot.by_hand]
+    if able and rng.random() < spec.pilots:  # drawn last: what else happens is the same with and without
         phase, delay_s = _when(rng)
         pilot = PILOTS[int(rng.integers(len(PILOTS)))]
-        events.append(Event(phase, delay_s, pilot=pilot, vehicle=int(rng.integers(len(ids)))))
+        events.append(Event(phase, delay_s, pilot=pilot, vehicle=able[int(rng.integers(len(able)))]))
     return tuple(events)
 
 

@@ -16,7 +16,9 @@ from groundstation.app.keyboard import KeyDialogue
 from groundstation.app.loop import Interrupts
 from groundstation.app.session import Session
 from groundstation.core.phases import Phase
+from groundstation.mavlink.autopilot import CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED
 from groundstation.mavlink.codec import Encoder
+from groundstation.mavlink.vehicle import AUTOPILOT_COMPID
 from groundstation.mission.plan.plan import MissionPlan
 from groundstation.mission.timing import SECOND_NS
 from sitl.faults import Fault
@@ -28,7 +30,6 @@ _STRANGER_IDS = (251, 252)
 _PILOT_IDS = (250, 190)
 PILOTS = ("sticks", "hold")
 """What pilots do: fly by sticks, which they leave in the middle, or have it hold its place."""
-_DO_SET_MODE, _CUSTOM_MODE = 176, 1
 _GARBAGE_BYTES, _FLOOD_BYTES, _FLOOD_DATAGRAMS = 120, 280, 4
 STRANGERS = ("garbage", "flood", "vehicle", "ground_station", "companion", "invalid_heartbeat")
 """What strangers do: bytes at random, more of them, another vehicle, another ground station, a companion computer under
@@ -133,8 +134,6 @@ class Plot:
     def _do(self, event: Event, session: Session, now_ns: int) -> None:
         if event.fault is not None:
             self._strike(event.fault)
-        elif event.pilot and not self._plan.autopilots[event.vehicle].by_hand:
-            pass  # nobody can take it over
         elif event.pilot:
             self._kill([event.vehicle])  # from now on nobody but the pilot steers it
             self._piloted.add(event.vehicle)
@@ -157,10 +156,9 @@ class Plot:
 
     def _switch(self, row: int, to: str) -> None:
         main, sub = self._plan.autopilots[row].by_hand[to]
-        own = self._plan.spec.vehicles[row].id
         frame = self._pilot.encode(
-            "COMMAND_LONG", target_system=own, target_component=1, command=_DO_SET_MODE,
-            param1=float(_CUSTOM_MODE), param2=float(main), param3=float(sub),
+            "COMMAND_LONG", target_system=self._plan.sysids[row], target_component=AUTOPILOT_COMPID,
+            command=CMD_DO_SET_MODE, param1=CUSTOM_MODE_ENABLED, param2=float(main), param3=float(sub),
         )  # fmt: skip
         self._radio(row, frame)
 
