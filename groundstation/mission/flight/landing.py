@@ -134,9 +134,6 @@ class Landing:
         """Takes how a command ended."""
         if outcome.accepted:
             self._said_yes.add((outcome.vehicle, outcome.command.name))
-            # Heartbeats tell it up to a second later, and by then it may be in somebody's hands.
-            lands = outcome.command.name == self._plan.autopilots[outcome.vehicle].land().name
-            self._began[outcome.vehicle] |= lands
 
     def want(self, vehicles: Iterable[int], now_ns: int) -> None:
         """Notes that vehicles shall land where they are, as soon as nobody is below.
@@ -212,8 +209,10 @@ class Landing:
             autopilot, mode = self._plan.autopilots[vehicle], int(fleet.custom_mode[vehicle])
             status = int(fleet.system_status[vehicle])
             self._began[vehicle] |= roster.told_to_land[vehicle] and autopilot.is_landing_mode(mode)
+            # Heartbeats tell it up to a second later than its answer, and by then it may be in somebody's hands.
+            began = bool(self._began[vehicle]) or (vehicle, autopilot.land().name) in self._said_yes
             taken[vehicle] = autopilot.is_flown_by_pilot(mode, status) or (
-                bool(self._began[vehicle]) and autopilot.was_taken_while_landing(mode, status)
+                began and autopilot.was_taken_while_landing(mode, status)
             )
         return taken
 
