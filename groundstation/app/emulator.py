@@ -31,7 +31,7 @@ from sitl.personalities import PERSONALITIES
 from sitl.server import Server
 from sitl.world import VehicleConfig, World, WorldConfig
 
-_LAST_NS = 1_000_000_000
+_LAST_NS = 1_000_000_000  # of a hold, over which it is judged how still the team stands
 
 
 def world_config(plan: MissionPlan, headings: int | None = None) -> WorldConfig:

@@ -41,7 +41,7 @@ class AxisResponse:
 
     @property
     def damping(self) -> float:
-        """Damping ratio: below 1 it overshoots."""
+        """Damping ratio of its poles: the less, the longer it swings."""
         return (self.p_1_s + self.drag_1_s) / (2.0 * math.sqrt(self.i_1_s2))
 
     def t63_s(self) -> float:

@@ -6,6 +6,7 @@ import itertools
 import select
 import selectors
 import socket
+from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
@@ -264,57 +265,61 @@ def test_who_is_known_again_before_all_was_read_is_heard_in_order() -> None:
         assert {0, 1, 3} <= set(told)
 
 
-@pytest.mark.parametrize("alone", [False, True])
-def test_long_datagrams_of_strangers_are_left_out_and_those_of_vehicles_are_not(
-    *, alone: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if alone:
+@pytest.fixture(params=[False, True], ids=["sorted by the kernel", "one queue for all"])
+def two_senders(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[UdpLink, socket.socket, socket.socket]]:
+    """A link, a vehicle's socket and a stranger's."""
+    if request.param:
         monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
     with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
-        where = link.socket.getsockname()
         vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
-        longest, longer = bytes(LONGEST_OF_STRANGERS), bytes(LONGEST_OF_STRANGERS + 1)
-        vehicle.sendto(longest, where)
-        ((peer, data),) = arrived_on(link)
-        assert data == longest
-        assert link.left_out == ""
-        link.know([peer])
-        for item in (other, vehicle):
-            item.sendto(longer, where)
-            item.sendto(longest, where)
-        taken = _all_of(link)
-        assert [data for name, data in taken if name == peer] == [longer, longest]
-        assert [data for name, data in taken if name != peer] == [longest]
-        assert link.errors == 1
-        assert link.left_out == "1 datagrams of unknown senders, longer than 4096 bytes"
+        yield link, vehicle, other
+
+
+def test_long_datagrams_of_strangers_are_left_out_and_those_of_vehicles_are_not(
+    two_senders: tuple[UdpLink, socket.socket, socket.socket],
+) -> None:
+    link, vehicle, other = two_senders
+    where = link.socket.getsockname()
+    longest, longer = bytes(LONGEST_OF_STRANGERS), bytes(LONGEST_OF_STRANGERS + 1)
+    vehicle.sendto(longest, where)
+    ((peer, data),) = arrived_on(link)
+    assert data == longest
+    assert link.left_out == ""
+    link.know([peer])
+    for item in (other, vehicle):
+        item.sendto(longer, where)
+        item.sendto(longest, where)
+    taken = _all_of(link)
+    assert [data for name, data in taken if name == peer] == [longer, longest]
+    assert [data for name, data in taken if name != peer] == [longest]
+    assert link.errors == 1
+    assert link.left_out == "1 datagrams of unknown senders, longer than 4096 bytes"
     with open_udp("udpin://127.0.0.1:0", len(longer)) as link, socket.socket(type=socket.SOCK_DGRAM) as room:
         room.sendto(longer, link.socket.getsockname())
         assert [data for _, data in arrived_on(link)] == [longer]
 
 
-@pytest.mark.parametrize("alone", [False, True])
 def test_strangers_get_a_share_when_those_that_are_known_have_no_more(
-    *, alone: bool, monkeypatch: pytest.MonkeyPatch
+    two_senders: tuple[UdpLink, socket.socket, socket.socket],
 ) -> None:
-    if alone:
-        monkeypatch.setattr(udp, "open_pair", alone_on_a_port)
-    with open_udp("udpin://127.0.0.1:0") as link, ExitStack() as stack:
-        where = link.socket.getsockname()
-        vehicle, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
-        vehicle.sendto(b"hello", where)
-        ((peer, _),) = arrived_on(link)
-        link.know([peer])
-        for _ in range(20):
-            other.sendto(bytes(500), where)
-            vehicle.sendto(bytes(500), where)
-        turns = []
-        while arrived := link.receive(4_096):
-            turns.append([name == peer for name, _ in arrived])
-        assert turns[0] == [True] * 9
-        assert turns[1] == [True] * 9
-        assert turns[2] == [True, True, *[False] * 3]
-        assert all(turn == [False] * 3 for turn in turns[3:-1])
-        assert sum(turn.count(False) for turn in turns) == 20
+    link, vehicle, other = two_senders
+    where = link.socket.getsockname()
+    vehicle.sendto(b"hello", where)
+    ((peer, _),) = arrived_on(link)
+    link.know([peer])
+    for _ in range(20):
+        other.sendto(bytes(500), where)
+        vehicle.sendto(bytes(500), where)
+    turns = []
+    while arrived := link.receive(4_096):
+        turns.append([name == peer for name, _ in arrived])
+    assert turns[0] == [True] * 9
+    assert turns[1] == [True] * 9
+    assert turns[2] == [True, True, *[False] * 3]
+    assert all(turn == [False] * 3 for turn in turns[3:-1])
+    assert sum(turn.count(False) for turn in turns) == 20
 
 
 def test_whom_a_link_speaks_to_is_known_before_it_was_heard() -> None:

@@ -21,8 +21,8 @@ _GRID_S = 0.02
 _DELAYS_S = np.arange(0.06, 0.31, 0.02)
 
 
-def _left(axis: AxisResponse | float, asked_m_s: FloatArray, done_m_s: FloatArray) -> tuple[float, float]:
-    """Share of the motion that an axis' response (a float: one lag) leaves unexplained, and with which delay."""
+def _left(axis: AxisResponse | float, asked_m_s: FloatArray, done_m_s: FloatArray) -> float:
+    """Share of the motion that an axis' response (a float: one lag) leaves unexplained, with the delay that fits."""
     if isinstance(axis, float):
         above, below = np.array([1.0]), np.array([axis, 1.0])
     else:
@@ -36,7 +36,7 @@ def _left(axis: AxisResponse | float, asked_m_s: FloatArray, done_m_s: FloatArra
     found = []
     for delay_s in _DELAYS_S:
         off = (done_m_s - np.interp(times_s - delay_s, times_s, went, left=0.0))[known]
-        found.append((float(((off - off.mean()) ** 2).sum() / (moved**2).sum()), float(delay_s)))
+        found.append(float(((off - off.mean()) ** 2).sum() / (moved**2).sum()))
     return min(found)
 
 
@@ -54,11 +54,11 @@ def test_recorded_px4_answers_as_the_response_that_its_setpoints_are_shaped_by(n
         for axis in (0, 1):
             asked, done = motion.asked_enu_m_s[:, axis], motion.done_enu_m_s[:, axis]
             if asked.std() > 0.2:
-                level.append(_left(response.horizontal, asked, done)[0])
-                plain.append(_left(PROFILES["px4_quad"].lag_s, asked, done)[0])
+                level.append(_left(response.horizontal, asked, done))
+                plain.append(_left(PROFILES["px4_quad"].lag_s, asked, done))
         asked, done = motion.asked_enu_m_s[:, 2], motion.done_enu_m_s[:, 2]
         if asked.std() > 0.2:
-            up.append(_left(response.vertical, asked, done)[0])
+            up.append(_left(response.vertical, asked, done))
     # 0.6 to 2.0 % level (one lag: 5 to 12 %), 0.3 to 1.7 % up.
     assert len(level) >= 8
     assert max(level) < 0.03

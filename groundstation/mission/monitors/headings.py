@@ -145,7 +145,7 @@ class Headings:
 
         In a room there is no such wind, and one that leans by a wrong north looks as if there were.
         """
-        if self._least_m_s != _LEAST_BY_GPS_M_S or not some(off):
+        if self._least_m_s != _LEAST_BY_GPS_M_S or not some(off):  # no GPS, or nobody is turned
             return off
         blown = [bool(off[vehicle]) and bool(self._wind.blame(vehicle)) for vehicle in range(len(off))]
         return np.asarray(off & ~np.array(blown))
