@@ -95,6 +95,7 @@ class Scene:
                 blind=self.monitor.blind,
                 airborne=self.fleet.armed & ~self.stands,
                 going_on=self.going_on,
+                vel_error_ned_m_s=self.monitor.speeds.known_error_ned_m_s,
             )
         )
         self.alarms += findings.alarms

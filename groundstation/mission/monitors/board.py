@@ -63,7 +63,7 @@ class Board:
         self._jumps, self._ages, self._frames = PoseJump(plan), PoseAge(plan), Frames(plan)
         self.speeds, self.resting = PoorSpeeds(plan), Resting(plan)
         self.wind = Wind(plan, self.speeds)
-        self._headings = Headings(plan, self.wind)
+        self._headings = Headings(plan, self.wind, self.speeds)
         self._modes, self._following = Modes(plan), Following(plan, self.wind, self._headings)
         self._contradictions, self._touchdowns = Contradictions(plan), Touchdowns(plan)
         self._traffic = TrafficNear(plan)
