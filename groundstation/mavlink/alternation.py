@@ -36,15 +36,16 @@ class Alternation:
         self._before: IntArray = np.full(n, _NONE, dtype=np.int64)
         self._returns: list[deque[int]] = [deque(maxlen=_RETURNS) for _ in range(n)]
 
-    def take(self, row: IntArray, value: IntArray, t_rx_ns: IntArray) -> None:
-        """Takes values in the order of their arrival, shape (k,) each."""
+    def take(self, row: IntArray, value: IntArray, t_rx_ns: IntArray, counts: BoolArray | None = None) -> None:
+        """Takes values in the order of their arrival, shape (k,) each; ``counts``: who may not change so by itself."""
         if len(set(row.tolist())) == len(row) and every(self._last[row] == value):
             return
-        for vehicle, now, t_ns in zip(row.tolist(), value.tolist(), t_rx_ns.tolist(), strict=True):
+        suspicious = [True] * len(row) if counts is None else counts.tolist()
+        for vehicle, now, t_ns, marks in zip(row.tolist(), value.tolist(), t_rx_ns.tolist(), suspicious, strict=True):
             last = int(self._last[vehicle])
             if abs(now - last) <= self._tolerance:
                 continue
-            if abs(now - int(self._before[vehicle])) <= self._tolerance:
+            if marks and abs(now - int(self._before[vehicle])) <= self._tolerance:
                 self.mark(vehicle, t_ns)
             self._before[vehicle], self._last[vehicle] = last, now
 

@@ -53,9 +53,9 @@ class Senders:
         self._arming.take(row, armed.astype(np.int64), t_rx_ns)
         self._mode.take(row, mode, t_rx_ns)
 
-    def landed(self, row: IntArray, landed_state: IntArray, t_rx_ns: IntArray) -> None:
-        """Takes landed states."""
-        self._landed.take(row, landed_state, t_rx_ns)
+    def landed(self, row: IntArray, landed_state: IntArray, t_rx_ns: IntArray, hops: BoolArray) -> None:
+        """Takes landed states; ``hops``: runs its motors just above the ground, where one vehicle goes to and fro."""
+        self._landed.take(row, landed_state, t_rx_ns, ~hops)
 
     def battery(self, row: IntArray, percent: IntArray, t_rx_ns: IntArray) -> None:
         """Takes what is left in batteries, -1 where it is not known."""

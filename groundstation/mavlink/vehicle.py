@@ -835,7 +835,7 @@ class Fleet:
         landed = batch.values["landed_state"].astype(np.int64)
         self.landed_state[row] = landed
         self.landed_ns[row] = t_ns
-        self.senders.landed(row, landed, t_ns)
+        self.senders.landed(row, landed, t_ns, self.armed[row] & ~self._is_above(row, t_ns))
         if some(self.disarm_doubted):
             said = self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)
             for vehicle in row[said & ~self._is_above(row, t_ns)].tolist():

@@ -134,10 +134,23 @@ def test_values_that_two_senders_tell_in_turns_are_told(one, other, words: str) 
     scene = Scene()
     scene.flies()
     for k in _steps(scene, 5.0, 500):
+        scene.fleet.see_above(np.array([True]), scene.now_ns)
         scene.hear((other if k % 2 else one)(scene.sender))
     told = scene.fleet.twin_behind_one_address(0, scene.now_ns)
     assert told is not None
     assert words in told
+
+
+@pytest.mark.parametrize(("armed", "told"), [(ARMED, False), (DISARMED, True)])
+def test_one_that_hops_just_above_the_ground_is_no_two_and_one_that_is_disarmed_does_not_hop(
+    armed: int, told: bool
+) -> None:
+    """Held by its failsafe as it took off (a network that was gone for 3 s): five changes in 4 s, then called two."""
+    scene = Scene()
+    for k in _steps(scene, 8.0, 100):
+        hops = k % 10 in (3, 4, 7)
+        scene.hear(scene.sender.heartbeat(armed), scene.sender.landed(IN_AIR if hops else ON_GROUND))
+    assert (scene.fleet.twin_behind_one_address(0, scene.now_ns) is not None) == told
 
 
 def test_positions_that_are_late_and_elsewhere_are_a_second_sender_and_late_ones_on_its_way_are_not() -> None:
