@@ -18,6 +18,8 @@ from sitl.state import State
 
 Place = tuple[float, float, float]
 
+_GUESSES_NS = 5_700_000_000  # PX4 1.16 in its own simulator flew on without a fix for as long, and told nothing
+
 
 class Radio(NamedTuple):
     """What a vehicle can do beside flying, each for the vehicle of that index.
@@ -38,6 +40,7 @@ class Senses:
 
     def __init__(self, state: State, index: int) -> None:
         self._index = index
+        self._state = state
         self._known, self._broken, self._estimator = state.known, state.broken, state.estimator
         self._motion, self._ground = state.dynamics.motion, state.dynamics.ground
         self._frames = state.own_frames
@@ -72,7 +75,9 @@ class Senses:
     @property
     def position_good(self) -> bool:
         """Whether it has one that can be flown by."""
-        return self.has_position and not self._broken.invalid[self._index]
+        broken, i = self._broken, self._index
+        guessed = self._state.now_ns - int(broken.no_fix_ns[i]) > _GUESSES_NS
+        return self.has_position and not broken.invalid[i] and not guessed
 
     @property
     def has_origin(self) -> bool:

@@ -92,6 +92,37 @@ class Shaking:
         return np.asarray(shown)
 
 
+class Coasting:
+    """Estimates of n vehicles that are carried on by accelerometers alone, and go astray.
+
+    Position and velocity go astray together, so that neither contradicts the other.
+
+    Attributes:
+        on: somebody's is.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._enu_m_s2, self._gone_m_s, self._gone_m = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n))
+        self.on = False
+
+    def set(self, index: int, enu_m_s2: Sequence[float] | None) -> tuple[Array, Array]:
+        """Begins, or ends with None; returns by how much velocity (m/s) and position (m) have gone, when it ends."""
+        gone = np.zeros(3), np.zeros(3)
+        if enu_m_s2 is None:
+            gone = self._gone_m_s[:, index].copy(), self._gone_m[:, index].copy()
+            self._gone_m_s[:, index] = self._gone_m[:, index] = 0.0
+        self._enu_m_s2[:, index] = 0.0 if enu_m_s2 is None else enu_m_s2
+        self.on = bool(self._enu_m_s2.any())
+        return gone
+
+    def step(self, dt_s: float) -> Array:
+        """By how much the velocities have gone further, shape (3, n), m/s."""
+        gained_m_s = np.asarray(self._enu_m_s2 * dt_s)
+        self._gone_m_s += gained_m_s
+        self._gone_m += self._gone_m_s * dt_s
+        return gained_m_s
+
+
 class Estimator:
     """Errors of n vehicles' estimates.
 
@@ -102,6 +133,7 @@ class Estimator:
         offset_enu_m: what faults add to the position, shape (3, n).
         drift_enu_m_s: how fast that offset grows, shape (3, n).
         misled_enu_m_s: what is added to the velocity's error, shape (3, n).
+        faulty: a fault adds to somebody's position or velocity.
     """
 
     def __init__(self, noises: Sequence[Noise], step_s: float, rng: np.random.Generator) -> None:
@@ -122,7 +154,7 @@ class Estimator:
         self.offset_enu_m = np.zeros((3, n))
         self.drift_enu_m_s = np.zeros((3, n))
         self.misled_enu_m_s = np.zeros((3, n))
-        self._misled = False
+        self._coasting = Coasting(n)
         self.faulty = False
         self.pos_error, self.vel_error, self.att_error = np.split(self._errors.now, 3)
         shaken = any(noise.vel_in_air_only or noise.pos_follows_s for noise in noises)
@@ -139,13 +171,17 @@ class Estimator:
         if self._count % _EVERY:
             return
         self._errors.step()
+        if self._coasting.on:
+            gained_m_s = self._coasting.step(self._dt)
+            self.drift_enu_m_s += gained_m_s
+            self.misled_enu_m_s += gained_m_s
         if self.faulty:
             self.offset_enu_m += self.drift_enu_m_s * self._dt
         if self._shaking is not None:
             self._shake(self._shaking, on_ground)
         elif self.faulty:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m
-        if self._misled:
+        if self.faulty:
             self._mislead()
 
     def _shake(self, shaking: Shaking, on_ground: NDArray[np.bool_]) -> None:
@@ -154,7 +190,8 @@ class Estimator:
 
     def refresh(self) -> None:
         """Lets a changed ``offset_enu_m`` act at once."""
-        self.faulty = bool(self.offset_enu_m.any() or self.drift_enu_m_s.any())
+        added = (self.offset_enu_m, self.drift_enu_m_s, self.misled_enu_m_s)
+        self.faulty = self._coasting.on or any(bool(values.any()) for values in added)
         if self._shaking is not None:
             self.pos_error = self._errors.now[:3] + self._shaking.followed_m + self.offset_enu_m
         else:
@@ -163,12 +200,21 @@ class Estimator:
     def mislead(self, index: int, by_enu_m_s: Sequence[float]) -> None:
         """Sets what is added to the error of one vehicle's velocity."""
         self.misled_enu_m_s[:, index] = by_enu_m_s
+        self.refresh()
+        self._mislead()
+
+    def coast(self, index: int, enu_m_s2: Sequence[float] | None) -> None:
+        """Lets one vehicle's estimate go astray with an acceleration; None: it is measured again, at once."""
+        gone_m_s, gone_m = self._coasting.set(index, enu_m_s2)
+        self.drift_enu_m_s[:, index] -= gone_m_s
+        self.misled_enu_m_s[:, index] -= gone_m_s
+        self.offset_enu_m[:, index] -= gone_m
+        self.refresh()
         self._mislead()
 
     def _mislead(self) -> None:
-        self._misled = bool(self.misled_enu_m_s.any())
         if self._shaking is None:  # a shaken one's velocity is made anew at every step
-            self.vel_error = self._errors.now[3:6] + self.misled_enu_m_s if self._misled else self._errors.now[3:6]
+            self.vel_error = self._errors.now[3:6] + self.misled_enu_m_s if self.faulty else self._errors.now[3:6]
 
     def white(self) -> Array:
         """White part of one report of every position, shape (3, n), m."""

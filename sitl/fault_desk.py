@@ -12,7 +12,7 @@ from sitl.autopilot import Autopilot
 from sitl.config import SECOND
 from sitl.faults import LINK_KINDS, VEHICLE_KINDS, Fault, FaultError
 from sitl.network import Channel, LinkConfig
-from sitl.state import State
+from sitl.state import HAS_FIX, State
 
 _NEVER = 1 << 62
 _STATES = set(VEHICLE_KINDS) - {"position_jump", "position_drift", "reboot", "battery_level", "clock_jump"}
@@ -128,6 +128,8 @@ class FaultDesk:
             if on and not state.broken.frozen[i]:
                 state.broken.frozen_pos_enu_m[:, i] = pilot.body.senses.pos_enu_m
             state.broken.frozen[i] = on
+        elif kind == "gps_lost":
+            self._lose_gps(i, faults)
         elif kind == "position_nan":
             state.broken.invalid[i] = on
         elif kind == "heartbeat_missing":
@@ -141,6 +143,16 @@ class FaultDesk:
             pilot.deny_arming = on
         elif kind == "commands_ignored":
             pilot.ignore_commands = on
+
+    def _lose_gps(self, i: int, faults: Sequence[Fault]) -> None:
+        """Only one that lives by GPS goes astray without it."""
+        state = self._state
+        if not state.known.has_gps[i]:
+            return
+        was = int(state.broken.no_fix_ns[i])
+        state.broken.no_fix_ns[i] = min(was, state.now_ns) if faults else HAS_FIX
+        astray = [sum(fault.number(axis) for fault in faults) for axis in ("east_m_s2", "north_m_s2")]
+        state.estimator.coast(i, [*astray, 0.0] if faults else None)
 
     def _once(self, fault: Fault, i: int) -> None:
         """The faults that happen at one moment."""

@@ -66,6 +66,7 @@ VEHICLE_KINDS: dict[str, dict[str, Number]] = {
     "position_jump": {axis: Number(0.0, -1e6, 1e6) for axis in ("east_m", "north_m", "up_m")},
     "position_nan": {},
     "position_drift": {axis: Number(0.0, -100.0, 100.0) for axis in ("east_m_s", "north_m_s", "up_m_s")},
+    "gps_lost": {"east_m_s2": Number(0.09, -10.0, 10.0), "north_m_s2": Number(-0.09, -10.0, 10.0)},
     "heartbeat_missing": {},
     "battery_drain": {"percent_per_s": Number(None, 0.0, 100.0)},
     "battery_level": {"percent": Number(None, 0.0, 100.0)},

@@ -214,14 +214,15 @@ def _global_position_int(state: State, view: View, vehicles: IntArray) -> Struct
 def _gps_raw_int(state: State, view: View, vehicles: IntArray) -> StructuredArray:
     out = rows_of("GPS_RAW_INT", vehicles)
     out["time_usec"] = times_us(state, vehicles)
-    out["fix_type"] = 3
+    fixed = state.broken.no_fix_ns[vehicles] > state.now_ns
+    out["fix_type"] = np.where(fixed, 3, 1)
     out["lat"], out["lon"], alt = _geo(view, vehicles)
     out["alt"] = out["alt_ellipsoid"] = np.rint(alt * 1000.0)
     out["eph"], out["epv"] = 80, 110
     vel = _number(state, of(view.vel_ned_m_s, vehicles))
     out["vel"] = np.minimum(np.rint(np.hypot(vel[0], vel[1]) * 100.0), 65534)
     out["cog"] = np.rint(np.degrees(np.arctan2(vel[1], vel[0])) % 360.0 * 100.0) % 36000
-    out["satellites_visible"] = 12
+    out["satellites_visible"] = np.where(fixed, 12, 0)
     out["h_acc"], out["v_acc"], out["vel_acc"] = 900, 1400, 200
     return out
 

@@ -23,6 +23,9 @@ from sitl.profiles import Profile
 from sitl.signing import VehicleSigning
 from sitl.streams import Streams
 
+HAS_FIX = 1 << 62
+"""In place of the time since which a GPS receiver has none."""
+
 
 class Clocks:
     """What time the vehicles think it is.
@@ -101,6 +104,7 @@ class Broken:
     Attributes:
         frozen, invalid: position reports stuck, or not numbers, shape (n,).
         frozen_pos_enu_m: where they are stuck, shape (3, n).
+        no_fix_ns: since when a GPS receiver has no fix, ``HAS_FIX`` where it has one, shape (n,).
         motor_share: thrust that the motors can give, 1 when sound, shape (n,).
         muted: message types that some do not send, shape (n,) each.
     """
@@ -109,6 +113,7 @@ class Broken:
         n = pads_enu_m.shape[1]
         self.frozen, self.invalid = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self.frozen_pos_enu_m = pads_enu_m.copy()
+        self.no_fix_ns: NDArray[np.int64] = np.full(n, HAS_FIX)
         self.motor_share = np.ones(n)
         self.muted = {name: np.zeros(n, dtype=bool) for name in ("HEARTBEAT",)}
 

@@ -65,8 +65,9 @@ def _start(plan: MissionPlan, vehicle: int, home: tuple[float, float, float], *,
     except ValueError as error:
         raise UserError(f"{plan.source}: vehicles[{vehicle}].link: {address.url}: {error}") from None
     command = simulator.command(instance, sysid, (lat, lon, alt), stock=stock)
-    folder = shlex.quote(f"{plan.spec.name}-{spec.id}")
-    log = f"{plan.spec.name}-{spec.id}.txt"
+    # Simulators keep their parameters in their folder, and would not come as they are in one of cured ones.
+    name = f"{plan.spec.name}-stock-{spec.id}" if stock else f"{plan.spec.name}-{spec.id}"
+    folder, log = shlex.quote(name), f"{name}.txt"
     line = f"mkdir -p {folder} && (cd {folder} && {command} < /dev/null > {shlex.quote(f'../{log}')} 2>&1) &"
     return Start(vehicle, instance, (lat, lon, alt), line)
 

@@ -162,6 +162,8 @@ class Fleet:
         estimator_flags: ESTIMATOR_STATUS_FLAGS or EKF_STATUS_FLAGS, read by the autopilot classes; UNKNOWN before,
             shape (n,).
         estimator_ns: their arrival, shape (n,).
+        gps_fix: GPS_FIX_TYPE of a first and a second receiver (GPS_RAW_INT, GPS2_RAW), UNKNOWN before, shape (2, n).
+        gps_fix_ns: their arrival, shape (2, n).
         velocity_ratio: how far measured velocities are off the estimated one, in shares of what the estimator takes
             for possible, from the same messages, NaN before, shape (n,).
         link_heard: share of what a vehicle's radio sends that comes, 0 to 1, as its gateway measures it; NaN where
@@ -231,6 +233,8 @@ class Fleet:
         self.sensors_healthy: IntArray = np.zeros(n, dtype=np.int64)
         self.estimator_flags = _unknowns(n)
         self.estimator_ns = _times(n)
+        self.gps_fix: IntArray = np.full((2, n), UNKNOWN, dtype=np.int64)
+        self.gps_fix_ns: IntArray = np.full((2, n), NEVER, dtype=np.int64)
         self.velocity_ratio = np.full(n, np.nan)
         self.link_heard: FloatArray = np.full(n, np.nan)
         self.link_trip_s: FloatArray = np.full(n, np.nan)
@@ -812,6 +816,12 @@ class Fleet:
         self.velocity_ratio[row] = told
         self.estimator_ns[row] = t_ns
 
+    def _first_gps(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        self.gps_fix[0, row], self.gps_fix_ns[0, row] = batch.values["fix_type"], t_ns
+
+    def _second_gps(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:
+        self.gps_fix[1, row], self.gps_fix_ns[1, row] = batch.values["fix_type"], t_ns
+
     def _named_value(self, batch: Batch, row: IntArray, _t_ns: IntArray) -> None:
         for name, told in ((LINK_HEARD, self.link_heard), (LINK_TRIP, self.link_trip_s)):
             mine = batch.values["name"] == name.encode()
@@ -871,6 +881,8 @@ _HANDLERS: dict[str, Callable[[Fleet, Batch, IntArray, IntArray], BoolArray | No
     "EXTENDED_SYS_STATE": Fleet._extended_state,
     "ESTIMATOR_STATUS": Fleet._estimator,
     "EKF_STATUS_REPORT": Fleet._estimator,
+    "GPS_RAW_INT": Fleet._first_gps,
+    "GPS2_RAW": Fleet._second_gps,
     "AUTOPILOT_VERSION": Fleet._version,
     "NAMED_VALUE_FLOAT": Fleet._named_value,
     "PARAM_VALUE": Fleet._param_value,

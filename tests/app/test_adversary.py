@@ -55,6 +55,7 @@ def test_everything_that_can_go_wrong_is_drawn() -> None:
     wanted = {f"n {n}" for n in range(2, 9)} | {f"faults {n}" for n in range(4)} | {f"stranger {s}" for s in STRANGERS}
     wanted |= {f"pilot {pilot}" for pilot in PILOTS}
     wanted |= {"hold", "resume", "return", "land", "kill", "keys", "edge", "battery_level", "motor_failure", "blackout"}
+    wanted |= {"gps_lost"}
     wanted |= {"outdoors True", "outdoors False", "shape sphere", "shape cylinder", "shape ellipsoid", "steps True"}
     wanted |= {"wind True", "told True", "told False", "autopilots 1", "autopilots 2", "on_lost continue_open"}
     assert wanted <= set(seen)

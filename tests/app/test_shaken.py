@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from groundstation.app.resources import packaged_configs
+from groundstation.core.types import FloatArray
+from groundstation.mission.monitors.board import Board
+from groundstation.mission.monitors.findings import Findings, Sight
 from groundstation.mission.plan.reading import load_mission
 from groundstation.mission.runner import Phase
 from sitl.personalities import NOISES
@@ -16,7 +20,16 @@ from tests.app.flights import Flight
 AUTO_LAND = 6 << 24 | 4 << 16
 
 
-def test_a_team_with_poor_velocities_completes_its_mission_and_keeps_r() -> None:
+def test_a_team_with_poor_velocities_completes_its_mission_and_keeps_r(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[FloatArray] = []
+    look = Board.look
+
+    def looked(board: Board, sight: Sight, *, only_the_ground: bool = False) -> Findings:
+        assert np.array_equal(sight.vel_error_ned_m_s, board.speeds.known_error_ned_m_s)
+        seen.append(sight.vel_error_ned_m_s)
+        return look(board, sight, only_the_ground=only_the_ground)
+
+    monkeypatch.setattr(Board, "look", looked)
     plan = load_mission(packaged_configs() / "missions" / "first_flight2.yaml")
 
     def shaken(config: WorldConfig) -> WorldConfig:
@@ -33,6 +46,7 @@ def test_a_team_with_poor_velocities_completes_its_mission_and_keeps_r() -> None
 
     flight = Flight(plan, seed=3, change=shaken, interrupt_when=low)
     assert flight.runner.reason == ""
+    assert max(float(np.abs(error).max()) for error in seen) > 0.1  # what is known of it, monitors reckon with
     assert Phase.HOLD in flight.phase_seen
     told = [note.text for note in flight.notes if note.kind == "alarm" and "its velocity is poor" in note.text]
     assert len(told) == 2

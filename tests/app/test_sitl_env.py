@@ -92,6 +92,21 @@ def test_as_it_comes_px4_gets_no_parameters(
     assert code == 0
     assert "PX4_HOME_LAT" in script
     assert "PX4_PARAM_" not in script
+    assert "mkdir -p px4_cube8-stock-1 " in script  # parameters that cured ones have kept are in folders of their own
+
+
+@pytest.mark.parametrize(("missing", "words"), [("PX4", "bin/px4"), ("ARDUPILOT", "build/sitl/bin/arducopter")])
+def test_a_folder_without_the_simulator_is_told_before_anything_is_started(
+    missing: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, script, _ = gs(["sitl-env", "mixed8.yaml"], monkeypatch, capsys)
+    names = _stubs(tmp_path) | {missing: str(tmp_path / "elsewhere")}
+    done = subprocess.run(
+        ["/bin/sh", "-c", script], cwd=tmp_path, env=names, check=False, timeout=30, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert done.stderr == f"{missing}={tmp_path}/elsewhere: there is no {words} in it\n"
+    assert not list(tmp_path.glob("mixed8-*"))
 
 
 @pytest.mark.parametrize(

@@ -251,7 +251,7 @@ def listen(recording: Recording) -> Belief:
                     fleet=fleet, now_ns=now_ns, pos_team_ned_m=poses.pos_team_ned_m, vel_ned_m_s=poses.vel_ned_m_s,
                     pose_ns=pose_ns, drift_m=frame.drift_m(fleet, now_ns), sent_ned_m_s=sent.vel_ned_m_s,
                     ours=ours.copy(), steered=~(sent.climbing | monitor.hold), lands_here=nobody, excused=sent.landing,
-                    blind=monitor.blind, airborne=airborne,
+                    blind=monitor.blind, airborne=airborne, vel_error_ned_m_s=monitor.speeds.known_error_ned_m_s,
                 )  # fmt: skip
                 findings = monitor.look(sight)
                 ours[findings.release] = False

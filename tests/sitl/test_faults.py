@@ -170,6 +170,41 @@ def test_drifting_position() -> None:
     assert by_time[7.9] == by_time[7.1]
 
 
+def test_without_a_fix_px4_goes_astray_and_says_nothing_for_almost_six_seconds() -> None:
+    """As PX4 1.16 in its own simulator: off by 0.4 m after 3 s, 1.6 m after 5 s, "Failsafe activated" after 5.7 s."""
+    ground = hovering(3.0)
+    ground.interval("GPS_RAW_INT", 5.0)
+    stay = lambda: ground.velocity(mask=0x0DF8, x=0.0, y=0.0, z=-3.0)  # noqa: E731
+    ground.run(4.0, stay)
+    since, at_enu_m = ground.t_s, ground.world.truth.pos_enu_m[0].copy()
+    ground.world.inject(fault("gps_lost"))
+    astray_m = []
+    for _ in range(5):
+        ground.run(1.0, stay)
+        assert (ground.last("GPS_RAW_INT").fix_type, ground.last("GPS_RAW_INT").satellites_visible) == (1, 0)
+        astray_m.append(float(np.linalg.norm(ground.world.truth.pos_enu_m[0, :2] - at_enu_m[:2])))
+    assert astray_m[2] == pytest.approx(0.45, abs=0.15)
+    assert astray_m[4] == pytest.approx(1.5, abs=0.3)
+    local = ground.last("LOCAL_POSITION_NED")
+    assert math.hypot(local.x, local.y) < 0.3  # it believes to stand
+    assert ground.texts(since_s=since) == []
+    ground.run(1.0, stay)
+    assert (2, "Failsafe activated\t") in ground.texts(since_s=since)
+    ground.run(1.0, stay)
+    assert ground.last("HEARTBEAT").custom_mode == LAND
+
+
+def test_a_fix_that_comes_back_puts_the_estimate_right() -> None:
+    ground = hovering(3.0)
+    ground.interval("GPS_RAW_INT", 5.0)
+    ground.world.inject(fault("gps_lost", for_s=3.0))
+    ground.run(5.0, lambda: ground.velocity(mask=0x0DF8, x=0.0, y=0.0, z=-3.0))
+    assert ground.last("GPS_RAW_INT").fix_type == 3
+    local, truth = ground.last("LOCAL_POSITION_NED"), ground.world.truth.pos_enu_m[0]
+    assert (local.y, local.x) == pytest.approx((truth[0], truth[1]), abs=0.1)
+    assert not ground.world.state.estimator.faulty
+
+
 def test_nan_position_is_reported_and_px4_descends() -> None:
     ground = hovering(3.0)
     since = ground.t_s

@@ -42,6 +42,18 @@ def test_identity_and_readiness_by_default_within_two_seconds() -> None:
         assert 1.8 <= ready[0] <= 2.2
 
 
+def test_its_estimator_flags_are_those_of_the_real_one_at_rest_and_in_the_air() -> None:
+    """PX4 from 1.16 on sets constant position mode (0x80) whenever it stands still."""
+    ground = Ground(world())
+    ground.interval("ESTIMATOR_STATUS", 5.0)
+    ground.run(5.0)
+    assert ground.last("ESTIMATOR_STATUS").flags == 0x3FF
+    ground = hovering()
+    ground.interval("ESTIMATOR_STATUS", 5.0)
+    ground.run(1.0, lambda: ground.velocity(z=0.0))
+    assert ground.last("ESTIMATOR_STATUS").flags == 0x37F
+
+
 def test_real_boot_takes_as_long_as_the_real_one() -> None:
     ground = Ground(world(4, real_boot=True))
     ground.run(8.0)

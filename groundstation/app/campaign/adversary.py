@@ -65,6 +65,7 @@ _VEHICLE_KINDS: Mapping[str, float] = {
     "reorder": 0.5,
     "corrupt": 1.0,
 }
+_OUTDOOR_KINDS: Mapping[str, float] = {**_VEHICLE_KINDS, "gps_lost": 1.5}
 _LINK_KINDS = frozenset({"blackout", "loss", "burst", "delay", "jitter", "duplicate", "reorder", "corrupt"})
 _LASTING = frozenset({"position_jump", "reboot", "clock_jump", "battery_level"})
 _ORDERS: Mapping[str, float] = {
@@ -384,7 +385,7 @@ def _events(spec: AdversarySpec, plan: MissionPlan, size_m: float, rng: np.rando
         phase, delay_s = _when(rng)
         if events and rng.random() < 0.4:  # at once
             phase, delay_s = events[-1].phase, events[-1].delay_s
-        events.append(Event(phase, delay_s, fault=_fault(ids, size_m, rng)))
+        events.append(Event(phase, delay_s, fault=_fault(ids, size_m, rng, outdoors=plan.positioning == "gps")))
     if rng.random() < 0.5:
         for _ in range(int(rng.integers(spec.orders + 1))):
             events += _order(ids, rng)
@@ -438,8 +439,8 @@ def _order(ids: Sequence[int], rng: np.random.Generator) -> list[Event]:
     return events
 
 
-def _fault(ids: Sequence[int], size_m: float, rng: np.random.Generator) -> Fault:
-    kind = _weighted(_VEHICLE_KINDS, rng)
+def _fault(ids: Sequence[int], size_m: float, rng: np.random.Generator, *, outdoors: bool) -> Fault:
+    kind = _weighted(_OUTDOOR_KINDS if outdoors else _VEHICLE_KINDS, rng)
     numbers = {name: round(float(value), 3) for name, value in _numbers(kind, size_m, rng).items()}
     for_s = None if kind in _LASTING or rng.random() < 0.5 else round(float(rng.uniform(0.2, 4.0)), 2)
     everybody = kind in _LINK_KINDS and rng.random() < 0.15

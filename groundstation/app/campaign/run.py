@@ -52,7 +52,8 @@ _HEARS_AGAIN_NS = 5 * SECOND_NS  # after the end of a blackout; by then the grou
 _FOR_GOOD_NS = np.iinfo(np.int64).max
 _OWN_FAULT = "fault in the ground station"
 DISOBEDIENT = frozenset(
-    {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift", "motor_failure", "reboot"}
+    {"blackout", "position_frozen", "position_nan", "position_jump", "position_drift"}
+    | {"gps_lost", "motor_failure", "reboot"}
 )
 """Faults after which a vehicle cannot be steered to keep clear: it does not hear, does not know its place, or falls."""
 

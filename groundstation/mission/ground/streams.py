@@ -57,6 +57,8 @@ class Streams:
         wanted |= rates.status_hz()
         if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
             wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
+        if plan.uses_gps(vehicle):
+            wanted["GPS_RAW_INT"] = rates.fix_hz
         return wanted
 
     def ask(self, vehicle: int, now_ns: int, pose_ns: int, *, every: bool = False) -> None:

@@ -18,6 +18,7 @@ from groundstation.mission.flight.poses import Poses, changed
 from groundstation.mission.monitors.contradictions import Contradictions
 from groundstation.mission.monitors.descents import Descents
 from groundstation.mission.monitors.findings import Finding, Findings, Monitor, Reaction, Sight
+from groundstation.mission.monitors.fixes import GpsFix
 from groundstation.mission.monitors.flight import BeyondFence, Distance, Following, LateTicks, bounded_growth_m
 from groundstation.mission.monitors.headings import Headings
 from groundstation.mission.monitors.losses import Losses
@@ -68,9 +69,9 @@ class Board:
         self._contradictions, self._touchdowns = Contradictions(plan), Touchdowns(plan)
         self._traffic = TrafficNear(plan)
         self._monitors: tuple[Monitor, ...] = (
-            self.resting, self._jumps, LinkSilence(plan), RoomSilence(plan), self._ages, Frozen(plan), Heartbeats(plan),
-            Battery(plan), BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan), self.wind,
-            self._headings, self._following, Distance(plan), Descents(plan, self.wind, self.speeds),
+            self.resting, self._jumps, LinkSilence(plan), RoomSilence(plan), self._ages, Frozen(plan), GpsFix(plan),
+            Heartbeats(plan), Battery(plan), BatteryAge(plan), self.speeds, BeyondFence(plan), self._frames, Tilt(plan),
+            self.wind, self._headings, self._following, Distance(plan), Descents(plan, self.wind, self.speeds),
             Restarts(plan), self._touchdowns, self._modes, Sinking(plan, self._modes), LateTicks(plan),
             self._contradictions, self._traffic,
         )  # fmt: skip

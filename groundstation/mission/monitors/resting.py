@@ -86,6 +86,8 @@ class Resting:
             self._told[vehicle] = True
             moved = f"its position has moved by {self._rest.moved_m[vehicle]:.2f} m while it stood"
             what = f"{moved}, limit {self._allowed_m[vehicle]:.2g} m"
+            if self._flown[vehicle] and sight.blind[vehicle]:
+                continue  # nobody believed it any more, and that was told
             if self._flown[vehicle]:
                 yield Finding(
                     Reaction.FAILED, f"{what}, after it landed", (vehicle,), lost=True, remedy=SEE_TO_POSITION

@@ -32,6 +32,8 @@ STATUS_NARROW_HZ = {"EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 1.0}
 """The same on a link of known capacity."""
 STATUS_LEAN_HZ = {"EXTENDED_SYS_STATE": 1.0, "SYS_STATUS": 0.2}
 """The same where positions want every byte."""
+FIX_HZ, FIX_NARROW_HZ, FIX_LEAN_HZ = 2.0, 0.5, 0.2
+"""The same three rates for GPS_RAW_INT, of vehicles whose place comes from GPS."""
 CROSS_CHECK_HZ, CROSS_CHECK_LEAN_HZ = 1.0, 0.5
 """Rate of the other position message, which the first is held against."""
 
@@ -82,6 +84,11 @@ class LinkRates:
         return dict(STATUS_LEAN_HZ if self.lean else STATUS_NARROW_HZ if self.limited else STATUS_HZ)
 
     @property
+    def fix_hz(self) -> float:
+        """Rate of GPS_RAW_INT."""
+        return FIX_LEAN_HZ if self.lean else FIX_NARROW_HZ if self.limited else FIX_HZ
+
+    @property
     def cross_check_hz(self) -> float:
         """Rate of the other position message."""
         return CROSS_CHECK_LEAN_HZ if self.lean else CROSS_CHECK_HZ
@@ -101,6 +108,7 @@ def fit_rates(
     setpoint_hz: float,
     position: str,
     cross_check: bool = False,
+    gps: bool = False,
     signed: bool = False,
 ) -> LinkRates:
     """Fits the rates of a link's vehicles to what it carries.
@@ -115,12 +123,17 @@ def fit_rates(
         setpoint_hz: wanted rate of setpoints.
         position: message type that positions come in.
         cross_check: the other position message is asked for as well.
+        gps: GPS_RAW_INT is asked for as well.
         signed: every frame bears a signature.
 
     Raises:
         UserError: what fits is too slow to be flown with.
     """
-    rates = _fit(vehicles, limit_bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check, signed=signed)
+
+    def fit(count: int, bytes_s: float) -> LinkRates:
+        return _fit(count, bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check, gps=gps, signed=signed)
+
+    rates = fit(vehicles, limit_bytes_s)
     for name, rate, least in (
         ("positions", rates.pose_hz, _POSE_MIN_HZ),
         ("setpoints", rates.setpoint_hz, _SETPOINT_MIN_HZ),
@@ -128,8 +141,8 @@ def fit_rates(
         if rate < least:
 
             def fits(count: int, bytes_s: float) -> bool:
-                fit = _fit(count, bytes_s, pose_hz, setpoint_hz, position, cross_check=cross_check, signed=signed)
-                return fit.pose_hz >= _POSE_MIN_HZ and fit.setpoint_hz >= _SETPOINT_MIN_HZ
+                fitted = fit(count, bytes_s)
+                return fitted.pose_hz >= _POSE_MIN_HZ and fitted.setpoint_hz >= _SETPOINT_MIN_HZ
 
             able = max((count for count in range(1, vehicles) if fits(count, limit_bytes_s)), default=0)
             carries = f"{able} would fit" if able else "not even one would fit"
@@ -150,6 +163,7 @@ def _fit(
     position: str,
     *,
     cross_check: bool,
+    gps: bool,
     signed: bool,
 ) -> LinkRates:
     """What fits, however little."""
@@ -163,14 +177,14 @@ def _fit(
 
     position_bytes, attitude_bytes = size(position), size("ATTITUDE_QUATERNION")
     other = "LOCAL_POSITION_NED" if position == "GLOBAL_POSITION_INT" else "GLOBAL_POSITION_INT"
-    other_bytes = size(other) if cross_check else 0
-    slow = total(_UNASKED) + total(STATUS_NARROW_HZ) + CROSS_CHECK_HZ * other_bytes
+    other_bytes, fix_bytes = size(other) if cross_check else 0, size("GPS_RAW_INT") if gps else 0
+    slow = total(_UNASKED) + total(STATUS_NARROW_HZ) + CROSS_CHECK_HZ * other_bytes + FIX_NARROW_HZ * fix_bytes
     fits_hz = (usable / vehicles - slow) / (position_bytes + attitude_bytes)
     lean = fits_hz < min(_POSE_ENOUGH_HZ, pose_hz)
     pose = attitude = min(pose_hz, fits_hz)
     if lean:
         attitude = _ATTITUDE_LEAN_HZ
-        slow = total(_UNASKED) + total(STATUS_LEAN_HZ) + CROSS_CHECK_LEAN_HZ * other_bytes
+        slow = total(_UNASKED) + total(STATUS_LEAN_HZ) + CROSS_CHECK_LEAN_HZ * other_bytes + FIX_LEAN_HZ * fix_bytes
         pose = min(pose_hz, (usable / vehicles - slow - attitude * attitude_bytes) / position_bytes)
     setpoint_bytes = size("SET_POSITION_TARGET_LOCAL_NED")
     setpoint = min(setpoint_hz, ((usable - total(_SHARED_UP)) / vehicles - total(_UP)) / setpoint_bytes)

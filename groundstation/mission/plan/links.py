@@ -286,6 +286,7 @@ def fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) 
                     setpoint_hz=spec.rate_hz,
                     position=position,
                     cross_check=any(v.position == "local" and v.origin == "gps" for v in users),
+                    gps=any(v.position == "global" or v.origin == "gps" for v in users),
                     signed=key_file_of(spec, address.url) is not None,
                 )
             )

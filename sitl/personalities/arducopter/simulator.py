@@ -38,5 +38,7 @@ class ArduPilotSimulator(Simulator):
         return [
             "# ArduCopter: the folder in which `./waf copter` was run",
             ': "${ARDUPILOT:=$HOME/ardupilot}"',
+            '[ -x "$ARDUPILOT/build/sitl/bin/arducopter" ] ||'
+            ' { echo "ARDUPILOT=$ARDUPILOT: there is no build/sitl/bin/arducopter in it" >&2; exit 1; }',
             '# without the default parameters it says "Check frame class and type" for ever',
         ]

@@ -46,6 +46,7 @@ class Px4Simulator(Simulator):
         found = [
             "# PX4: the folder that `make px4_sitl_default` fills",
             ': "${PX4:=$HOME/PX4-Autopilot/build/px4_sitl_default}"',
+            '[ -x "$PX4/bin/px4" ] || { echo "PX4=$PX4: there is no bin/px4 in it" >&2; exit 1; }',
             f"# pads are up to {off_m:.2f} m off: it keeps its home as a float of 32 bits",
         ]
         return found if stock else [*found, f"# {' and '.join(_PARAMS)}: {_PARAMS_WHY}"]
