@@ -19,7 +19,8 @@ WORDS = "vehicle 1: its GPS has had no fix for 1 s, so that its position is a gu
 
 def _flown(phase: Phase, for_s: float | None = None, autopilots: tuple[str, str] = ("px4", "arducopter")) -> Flight:
     """The first one's GPS is lost a second after a phase has begun."""
-    reached, struck = after(phase, 1.0), []
+    reached = after(phase, 1.0)
+    struck: list[int] = []
 
     def strike(flight: Flight) -> bool:
         if not struck and reached(flight):
