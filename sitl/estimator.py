@@ -195,19 +195,19 @@ class Estimator:
         self.pos_error = self._errors.now[:3] + shaking.followed_m + self.offset_enu_m
 
     def refresh(self) -> None:
-        """Lets a changed ``offset_enu_m`` act at once."""
+        """Lets what faults add, changed, act at once."""
         added = (self.offset_enu_m, self.drift_enu_m_s, self.misled_enu_m_s)
         self.faulty = self._coasting.on or any(bool(values.any()) for values in added)
         if self._shaking is not None:
             self.pos_error = self._errors.now[:3] + self._shaking.followed_m + self.offset_enu_m
         else:
             self.pos_error = self._errors.now[:3] + self.offset_enu_m if self.faulty else self._errors.now[:3]
+        self._mislead()
 
     def mislead(self, index: int, by_enu_m_s: Sequence[float]) -> None:
         """Sets what is added to the error of one vehicle's velocity."""
         self.misled_enu_m_s[:, index] = by_enu_m_s
         self.refresh()
-        self._mislead()
 
     def coast(self, index: int, enu_m_s2: Sequence[float] | None) -> None:
         """Lets one vehicle's estimate go astray with an acceleration; None: it is measured again, at once."""
@@ -216,7 +216,6 @@ class Estimator:
         self.misled_enu_m_s[:, index] -= gone_m_s
         self.offset_enu_m[:, index] -= gone_m
         self.refresh()
-        self._mislead()
 
     def _mislead(self) -> None:
         if self._shaking is None:  # a shaken one's velocity is made anew at every step

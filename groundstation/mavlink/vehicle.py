@@ -845,10 +845,11 @@ class Fleet:
         landed = batch.values["landed_state"].astype(np.int64)
         self.landed_state[row] = landed
         self.landed_ns[row] = t_ns
-        self.senders.landed(row, landed, t_ns, self.armed[row] & ~self._is_above(row, t_ns))
+        above = self._is_above(row, t_ns)
+        self.senders.landed(row, landed, t_ns, self.armed[row] & ~above)
         if some(self.disarm_doubted):
             said = self.disarm_doubted[row] & ~np.isin(landed, _OFF_THE_GROUND)
-            for vehicle in row[said & ~self._is_above(row, t_ns)].tolist():
+            for vehicle in row[said & ~above].tolist():
                 self._believe_disarmed(vehicle)
 
     def _command_ack(self, batch: Batch, row: IntArray, t_ns: IntArray) -> None:

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from groundstation.mavlink.codec import Frame
+from sitl.estimator import GPS, Estimator
 from sitl.faults import KINDS, LINK_KINDS, Fault, FaultError, load_faults, parse_faults
 from sitl.world import World
 from tests.sitl.virtual_ground import LAND, Ground, guided_at, hovering, world
@@ -192,6 +193,19 @@ def test_without_a_fix_px4_goes_astray_and_says_nothing_for_almost_six_seconds()
     assert (2, "Failsafe activated\t") in ground.texts(since_s=since)
     ground.run(1.0, stay)
     assert ground.last("HEARTBEAT").custom_mode == LAND
+
+
+def test_errors_of_the_velocity_go_on_wandering_when_a_fault_of_the_position_is_over() -> None:
+    """They stood still for the rest of the flight: what had added nothing to them was a copy that nobody renewed."""
+    estimator, nobody = Estimator([GPS], 0.004, np.random.default_rng(1)), np.zeros(1, dtype=np.bool_)
+    for by_m in (1.0, 0.0):
+        estimator.offset_enu_m[:] = by_m
+        estimator.refresh()
+        seen = []
+        for _ in range(50):
+            estimator.step(nobody)
+            seen.append(float(estimator.vel_error[0, 0]))
+        assert len(set(seen)) > 10
 
 
 def test_a_fix_that_comes_back_puts_the_estimate_right() -> None:

@@ -55,9 +55,9 @@ class Streams:
         rates = plan.rates_of(vehicle)
         wanted = {plan.position_message(vehicle): rates.pose_hz, "ATTITUDE_QUATERNION": rates.attitude_hz}
         wanted |= rates.status_hz()
-        if plan.uses_gps(vehicle) and plan.spec.vehicles[vehicle].position == "local":
-            wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
         if plan.uses_gps(vehicle):
+            if plan.spec.vehicles[vehicle].position == "local":
+                wanted["GLOBAL_POSITION_INT"] = rates.cross_check_hz
             wanted["GPS_RAW_INT"] = rates.fix_hz
         return wanted
 
