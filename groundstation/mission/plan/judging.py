@@ -108,7 +108,7 @@ def build_plan(
     addresses = tuple(parse_address(link) for link in links)
     check_signing(spec, addresses, source)
     rates = fit_links(spec, addresses, source)
-    gps = any(vehicle.position == "global" or vehicle.origin == "gps" for vehicle in spec.vehicles)
+    gps = any(vehicle.uses_gps for vehicle in spec.vehicles)
     room_at = room_link(spec, addresses, source)
     positioning = "mocap" if room_at is not None else str(spec.positioning or ("gps" if gps else "mocap"))
     if spec.traffic is not None and not gps:
@@ -348,7 +348,7 @@ def _check_compensation(
 
 def _check_upload(spec: MissionSpec, source: str) -> None:
     """Refuses a fence for the autopilots where nobody knows where on earth it lies."""
-    on_earth = spec.anchor is not None or any(v.position == "global" or v.origin == "gps" for v in spec.vehicles)
+    on_earth = spec.anchor is not None or any(v.uses_gps for v in spec.vehicles)
     if spec.fence.upload and not on_earth:
         raise UserError(
             f"{source}: fence.upload: true needs a place on earth, and no vehicle has one; give an anchor, vehicles"

@@ -113,8 +113,7 @@ class LinkPlan:
 
     def uses_gps(self, vehicle: int) -> bool:
         """Whether a vehicle's place in the team frame comes from its place on earth."""
-        spec = self.spec.vehicles[vehicle]
-        return spec.position == "global" or spec.origin == "gps"
+        return self.spec.vehicles[vehicle].uses_gps
 
 
 def mavlink_link(spec: MissionSpec, vehicle: VehicleSpec) -> str:
@@ -286,7 +285,7 @@ def fit_links(spec: MissionSpec, addresses: Sequence[LinkAddress], source: str) 
                     setpoint_hz=spec.rate_hz,
                     position=position,
                     cross_check=any(v.position == "local" and v.origin == "gps" for v in users),
-                    gps=any(v.position == "global" or v.origin == "gps" for v in users),
+                    gps=any(v.uses_gps for v in users),
                     signed=key_file_of(spec, address.url) is not None,
                 )
             )

@@ -41,6 +41,11 @@ class VehicleSpec(_Forbidding):
         """Name of its body in the motion capture system."""
         return self.body or f"cf{self.id}"
 
+    @property
+    def uses_gps(self) -> bool:
+        """Whether its place in the team frame comes from its place on earth."""
+        return self.position == "global" or self.origin == "gps"
+
     @model_validator(mode="after")
     def _declared(self) -> VehicleSpec:
         if (self.origin == "declared") != (self.origin_m is not None):
